@@ -1,0 +1,160 @@
+#include "controller/episode/recorder.h"
+
+#include <algorithm>
+#include <chrono>
+#include <tandem/episode_step_t.hpp>
+
+#include "base/sha256.h"
+#include "controller/episode/returns.h"
+
+namespace tandem {
+
+Recorder::Recorder(SpscRing<Record>& ring, EventLog* log, const TaskSpec& task, int observation_size,
+                   const RecorderSettings& settings, RecorderSinks sinks, StatusBoard& board)
+    : ring_(ring),
+      log_(log),
+      task_(task),
+      observation_size_(observation_size),
+      settings_(settings),
+      sinks_(std::move(sinks)),
+      board_(board),
+      thread_([this] { run(); }) {}
+
+Recorder::~Recorder() { stop(); }
+
+void Recorder::stop() {
+  stopping_ = true;
+  if (thread_.joinable()) thread_.join();
+}
+
+void Recorder::run() {
+  for (;;) {
+    // Read the flag first: what was pushed before stop() is still drained.
+    const bool stopping = stopping_;
+    while (Record* record = ring_.front()) {
+      std::visit([this](const auto& r) { take(r); }, *record);
+      ring_.pop();
+    }
+    if (stopping) break;
+    std::this_thread::sleep_for(std::chrono::microseconds(500));
+  }
+  if (log_) log_->flush();
+}
+
+void Recorder::take(const EpisodeBegin& begin) {
+  episode_ = begin;
+  observations_.clear();
+  steps_.clear();
+}
+
+void Recorder::take(const TickRecord& tick) {
+  utime_ = tick.utime;
+  if (settings_.robot_state_every == 0 || tick.tick % settings_.robot_state_every != 0) return;
+  const robot_state_t message = to_message(tick, episode_.episode);
+  log("ROBOT_STATE", tick.utime, message);
+  if (sinks_.robot_state) sinks_.robot_state(message);
+}
+
+void Recorder::take(const ObservationRecord& observation) {
+  const size_t index = static_cast<size_t>(observation.step);
+  if (observations_.size() <= index) observations_.resize(index + 1);
+  observations_[index].assign(observation.values.begin(), observation.values.begin() + observation_size_);
+}
+
+void Recorder::take(const StepSnapshot& snapshot) {
+  utime_ = snapshot.utime;
+  log("WORLD_STATE", snapshot.utime, to_message(snapshot, task_));
+}
+
+void Recorder::take(const ChunkRecord& chunk) {
+  const action_chunk_t message = to_message(chunk, episode_.episode, utime_);
+  log("ACTION_CHUNK", utime_, message);
+  if (sinks_.chunk) sinks_.chunk(message);
+}
+
+void Recorder::take(const HumanCommand& command) { log("TELEOP_COMMAND", utime_, to_message(command)); }
+
+void Recorder::take(const StepRecord& step) { steps_.push_back(step); }
+
+void Recorder::take(const PolicyInForce& policy) {
+  if (!sinks_.announcement) return;
+  policy_announce_t message = sinks_.announcement(policy.version);
+  message.utime = policy.utime;
+  log("POLICY_ANNOUNCE", policy.utime, message);
+}
+
+void Recorder::take(const EpisodeFinish& finish) {
+  auto episode = std::make_shared<FinishedEpisode>(assemble(finish));
+  if (log_) {
+    for (const std::vector<uint8_t>& step : episode->steps) log_->write("EPISODE_STEP", finish.utime, step);
+    log_->write("EPISODE_END", finish.utime, episode->end);
+    log_->flush();
+    if (!log_->failure().empty()) board_.stop = true;
+  }
+  episodes_.push_back(episode->end);
+  if (sinks_.episode) sinks_.episode(std::move(episode));
+}
+
+FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
+  // A step without its observations on both sides (an aborted one) is not a transition.
+  size_t n_steps = steps_.size();
+  while (n_steps > 0 && (observations_.size() < n_steps + 1 || observations_[n_steps].empty())) --n_steps;
+
+  std::vector<double> rewards(n_steps, 0.0);
+  if (finish.outcome == Outcome::success && n_steps > 0) rewards.back() = 1.0;
+  const std::vector<double> returns = discounted_returns(rewards, settings_.discount);
+
+  FinishedEpisode episode;
+  episode_end_t& end = episode.end;
+  Sha256 digest;
+  end.n_intervention_steps = end.n_takeovers = 0;
+  end.force_peak = end.force_filtered_peak = 0.0;
+  for (size_t t = 0; t < n_steps; ++t) {
+    const StepRecord& step = steps_[t];
+    episode_step_t m;
+    m.utime = step.utime;
+    m.episode = episode_.episode;
+    m.step = step.step;
+    m.n_observation = observation_size_;
+    m.observation = observations_[t];
+    m.next_observation = observations_[t + 1];
+    for (int i = 0; i < 7; ++i) {
+      m.policy_action[i] = static_cast<float>(step.policy[i]);
+      m.human_action[i] = static_cast<float>(step.human[i]);
+      m.executed_action[i] = static_cast<float>(step.executed[i]);
+    }
+    m.alpha = static_cast<float>(step.alpha_mean);
+    m.intervention = step.intervention ? 1 : 0;
+    const bool last = t + 1 == n_steps;
+    m.terminated = last && (finish.outcome == Outcome::success || finish.outcome == Outcome::failure) ? 1 : 0;
+    m.truncated = last && finish.outcome == Outcome::timeout ? 1 : 0;
+    m.reward = static_cast<float>(rewards[t]);
+    m.discounted_return = static_cast<float>(returns[t]);
+    m.policy_version = step.policy_version;
+    m.chunk_id = step.chunk_id;
+    m.chunk_index = step.chunk_index;
+    m.force_peak = static_cast<float>(step.force_peak);
+    episode.steps.push_back(encode(m));
+    digest.add(episode.steps.back().data(), episode.steps.back().size());
+
+    end.n_intervention_steps += step.intervention ? 1 : 0;
+    end.n_takeovers += step.took_over ? 1 : 0;
+    end.force_peak = std::max(end.force_peak, step.force_peak);
+    end.force_filtered_peak = std::max(end.force_filtered_peak, step.force_filtered_peak);
+  }
+
+  if (episode_.phase == Phase::training) settings_.env_steps += static_cast<int64_t>(n_steps);
+  end.utime = finish.utime;
+  end.episode = episode_.episode;
+  end.episode_seed = static_cast<int64_t>(episode_.episode_seed);
+  end.phase = static_cast<int8_t>(episode_.phase);
+  end.outcome = static_cast<int8_t>(finish.outcome);
+  end.n_steps = static_cast<int32_t>(n_steps);
+  end.undiscounted_return = n_steps > 0 ? rewards.back() : 0.0;
+  end.env_steps_total = settings_.env_steps;
+  end.policy_version = episode_.policy_version;
+  end.steps_sha256 = digest.hex();
+  return episode;
+}
+
+}  // namespace tandem

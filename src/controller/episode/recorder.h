@@ -1,0 +1,90 @@
+#pragma once
+
+#include <atomic>
+#include <functional>
+#include <memory>
+#include <string>
+#include <tandem/policy_announce_t.hpp>
+#include <thread>
+#include <vector>
+
+#include "base/spsc_ring.h"
+#include "controller/episode/event_log.h"
+#include "controller/episode/record.h"
+#include "controller/loop/status_board.h"
+#include "controller/task/task.h"
+
+namespace tandem {
+
+/// A finished episode as it goes over the wire: what the log holds, byte for byte.
+struct FinishedEpisode {
+  episode_end_t end;
+  std::vector<std::vector<uint8_t>> steps;  ///< encoded EPISODE_STEP, in order
+};
+
+struct RecorderSettings {
+  double discount = 1.0;       ///< gamma per policy step
+  int robot_state_every = 10;  ///< ticks between ROBOT_STATE in the log; 0 = none
+  int64_t env_steps = 0;       ///< training steps that the log already holds
+};
+
+/// Where the recorder hands things on to; called on the recorder's thread.
+struct RecorderSinks {
+  std::function<void(std::shared_ptr<const FinishedEpisode>)> episode;
+  std::function<void(const robot_state_t&)> robot_state;
+  std::function<void(const action_chunk_t&)> chunk;
+  std::function<policy_announce_t(int32_t version)> announcement;  ///< of a policy that came into force
+};
+
+/// Drains the control thread's ring on its own thread: writes the event log, assembles episodes, computes returns.
+/// When the log can't be written any more it asks for the run to stop: nothing is done that would not be recorded.
+class Recorder {
+ public:
+  /// @param log may be null: episodes are assembled but not written.
+  Recorder(SpscRing<Record>& ring, EventLog* log, const TaskSpec& task, int observation_size,
+           const RecorderSettings& settings, RecorderSinks sinks, StatusBoard& board);
+  ~Recorder();
+
+  /// Writes what is still in the ring and ends the thread.
+  void stop();
+
+  /// Ends of all episodes since the start; read after stop().
+  const std::vector<episode_end_t>& episodes() const { return episodes_; }
+
+ private:
+  void run();
+  void take(const EpisodeBegin& begin);
+  void take(const TickRecord& tick);
+  void take(const ObservationRecord& observation);
+  void take(const StepSnapshot& snapshot);
+  void take(const ChunkRecord& chunk);
+  void take(const HumanCommand& command);
+  void take(const StepRecord& step);
+  void take(const EpisodeFinish& finish);
+  void take(const PolicyInForce& policy);
+  FinishedEpisode assemble(const EpisodeFinish& finish);
+
+  template <typename Message>
+  void log(const char* channel, int64_t utime, const Message& message) {
+    if (log_) log_->write(channel, utime, message);
+  }
+
+  SpscRing<Record>& ring_;
+  EventLog* log_;
+  const TaskSpec& task_;
+  const int observation_size_;
+  RecorderSettings settings_;
+  RecorderSinks sinks_;
+
+  EpisodeBegin episode_;
+  int64_t utime_ = 0;
+  std::vector<std::vector<float>> observations_;
+  std::vector<StepRecord> steps_;
+  std::vector<episode_end_t> episodes_;
+
+  StatusBoard& board_;
+  std::atomic<bool> stopping_{false};
+  std::thread thread_;
+};
+
+}  // namespace tandem

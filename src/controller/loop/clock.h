@@ -1,0 +1,40 @@
+#pragma once
+
+#include <ctime>
+
+#include "base/signal.h"
+#include "controller/loop/status_board.h"
+
+namespace tandem {
+
+/// Wall-clock pacing of the control thread: absolute deadlines, 1 ms apart.
+class RealtimeClock {
+ public:
+  static constexpr int64_t kPeriodNs = 1'000'000;
+
+  explicit RealtimeClock(StatusBoard& board) : board_(board) {}
+
+  /// The next deadline is one period from now.
+  void restart() noexcept { deadline_ns_ = monotonic_ns() + kPeriodNs; }
+
+  /// Sleeps until the deadline. @returns how many whole cycles were missed before it could run again.
+  int wait() noexcept {
+    const timespec until{static_cast<time_t>(deadline_ns_ / 1'000'000'000), static_cast<long>(deadline_ns_ % 1'000'000'000)};
+    clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr);
+    const int64_t late_ns = monotonic_ns() - deadline_ns_;
+    board_.wakeup.add_ns(late_ns);
+    const int missed = static_cast<int>(late_ns / kPeriodNs);
+    deadline_ns_ += (missed + 1) * kPeriodNs;
+    if (missed > 0) board_.overruns += missed;
+    return missed;
+  }
+
+ private:
+  StatusBoard& board_;
+  int64_t deadline_ns_ = 0;
+};
+
+/// Asks for SCHED_FIFO and locked memory for the calling thread; says once on stderr what is not allowed and goes on.
+void become_realtime(int priority);
+
+}  // namespace tandem

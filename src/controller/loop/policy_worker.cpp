@@ -1,0 +1,66 @@
+#include "controller/loop/policy_worker.h"
+
+namespace tandem {
+
+PolicyWorker::PolicyWorker(const Task& task, policy::PolicySlot& slot) : task_(task), slot_(slot) {
+  for (int axis = 0, output = 0; axis < 7; ++axis) {
+    if (task.spec().axes[axis] != 0.0) axis_of_output_[output++] = axis;
+  }
+  thread_ = std::thread([this] { run(); });
+}
+
+PolicyWorker::~PolicyWorker() {
+  stopping_ = true;
+  asked_.post();
+  thread_.join();
+}
+
+bool PolicyWorker::ask(const StepSnapshot& snapshot) noexcept {
+  const bool taken = questions_.push(snapshot);
+  asked_.post();
+  return taken;
+}
+
+void PolicyWorker::run() noexcept {
+  while (!stopping_) {
+    asked_.wait_for(std::chrono::milliseconds(100));
+    while (StepSnapshot* snapshot = questions_.front()) {
+      PolicyAnswer* answer = answers_.claim();
+      if (!answer) break;
+      answer->observation.step = snapshot->step;
+      answer->observation_tick = snapshot->tick;
+      task_.observation().write(*snapshot, answer->observation.values.data());
+      answer->has_chunk = false;
+      if (snapshot->chunk_id >= 0) infer(*snapshot, *answer);
+      questions_.pop();
+      answers_.publish();
+      answered_.post();
+    }
+  }
+}
+
+void PolicyWorker::infer(const StepSnapshot& snapshot, PolicyAnswer& answer) noexcept {
+  policy::PolicySlot::Active* active = slot_.acquire();
+  if (!active) return;
+  const int64_t start_ns = monotonic_ns();
+  if (!active->forward(answer.observation.values.data(), output_.data())) return;
+
+  // Scatter the active axes into the seven of the wire.
+  const policy::Header& header = active->policy->header();
+  Chunk& chunk = answer.chunk;
+  chunk.id = snapshot.chunk_id;
+  chunk.policy_version = static_cast<int32_t>(header.version);
+  chunk.start_step = snapshot.step;
+  chunk.horizon = static_cast<int32_t>(header.horizon);
+  const int n_axes = static_cast<int>(task_.spec().action_axes.size());
+  for (int i = 0; i < chunk.horizon; ++i) {
+    chunk.actions[i].setZero();
+    for (int output = 0; output < n_axes; ++output) {
+      chunk.actions[i][axis_of_output_[output]] = output_[i * n_axes + output];
+    }
+  }
+  chunk.inference_us = static_cast<int32_t>((monotonic_ns() - start_ns) / 1000);
+  answer.has_chunk = true;
+}
+
+}  // namespace tandem

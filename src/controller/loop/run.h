@@ -1,0 +1,101 @@
+#pragma once
+
+#include <deque>
+#include <string>
+
+#include "controller/episode/recorder.h"
+#include "controller/link/link.h"
+#include "controller/link/policy_loader.h"
+#include "controller/loop/clock.h"
+#include "controller/loop/control_loop.h"
+#include "controller/loop/policy_worker.h"
+#include "controller/loop/status_board.h"
+#include "controller/robot/mujoco_robot.h"
+#include "controller/task/task.h"
+
+namespace tandem {
+
+enum class RunMode { train, evaluate, demonstrate, bench };
+
+/// The `run` section of the scenario, as far as the controller needs it.
+struct RunSettings {
+  RunMode mode = RunMode::train;
+  uint64_t seed = 0;
+  bool lockstep = true;
+  int demonstrations = 0;     ///< successful ones to collect before training
+  int64_t env_steps = 0;      ///< training steps until the end
+  int learner_lag = 1;        ///< episodes that the learner may be behind (lockstep)
+  int episodes = 0;           ///< modes evaluate and demonstrate
+  std::string policy;         ///< mode evaluate
+  int robot_state_hz = 100;
+};
+
+/// @throws ScenarioError
+RunSettings read_run(Section section);
+
+/// What a run has behind it when it starts or continues.
+struct RunPosition {
+  int64_t next_episode = 0;
+  int64_t env_steps = 0;
+  int demonstrations = 0;           ///< successful
+  int64_t last_demonstration = -1;  ///< number of the latest successful one
+  std::deque<bool> helpless;        ///< latest training episodes: succeeded without help?
+
+  void add(const episode_end_t& end);
+  double autonomous_success() const;
+};
+
+/// The control thread's programme: which episode comes next, under which policy, in which phase; and within an episode,
+/// what is waited for (lockstep) or polled (real time) around the ticks.
+class Run {
+ public:
+  /// @param link,loader null where the mode has no partner.
+  Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& model,
+      ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader, SpscRing<Record>& records,
+      StatusBoard& board, RunPosition position);
+
+  /// Runs to the end. @returns the process's exit code: 0 finished, 3 fault (sentence on stderr), 130 stopped.
+  int execute();
+
+ private:
+  struct Stopped {};  // thrown between episodes and waits when the run has to end
+  struct Failed {
+    std::string sentence;
+  };
+
+  bool finished() const;
+  void episode();
+  void wait_for_policy(int64_t episode);
+  Outcome run_steps(const EpisodeBegin& begin);
+  void ticks_of_step();
+  void start_step(StepSnapshot& snapshot, bool last);
+  void await_answer(int32_t step);
+  void await_human(const StepSnapshot& snapshot);
+  void poll_partners();
+  void take_answer(const PolicyAnswer& answer);
+  bool has_operator() const { return settings_.mode == RunMode::train || settings_.mode == RunMode::demonstrate; }
+  int64_t utime() const;
+  void stop_if_asked() const;
+  void relieve_recorder() const;
+
+  RunSettings settings_;
+  Task& task_;
+  MujocoRobot& robot_;
+  ArmModel& model_;
+  ControlLoop& loop_;
+  PolicyWorker& worker_;
+  Link* link_;
+  PolicyLoader* loader_;
+  SpscRing<Record>& records_;
+  StatusBoard& board_;
+  RunPosition position_;
+  RealtimeClock clock_;
+
+  int64_t episode_ = 0, tick_ = 0;
+  int32_t policy_version_ = 0;
+  bool intervened_ = false;
+  int n_steps_ = 0;
+  int faults_in_a_row_ = 0;
+};
+
+}  // namespace tandem

@@ -1,0 +1,58 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "base/section.h"
+#include "controller/chunk/chunk.h"
+#include "controller/law/arm_model.h"
+#include "controller/robot/mujoco_robot.h"
+#include "controller/task/observation.h"
+#include "controller/task/scene.h"
+
+namespace tandem {
+
+/// What every task says about itself; the common keys of the `task` section.
+struct TaskSpec {
+  std::string name;
+  std::string scene;                     ///< MJCF file, relative to the root of the checkout
+  int ticks_per_step = 100;              ///< control ticks in a policy step
+  int max_steps = 0;                     ///< policy steps until time-out
+  std::vector<std::string> action_axes;  ///< active ones of x y z rx ry rz gripper
+  Action axes = Action::Zero();          ///< 1 = active, 0 = masked
+  Twist action_limit = Twist::Zero();    ///< m, rad per policy step at |action| = 1; 0 for masked axes
+  Eigen::Vector3d workspace_low, workspace_high;  ///< m, box that the commanded tool position stays in
+  Pose X_W_origin;                       ///< where the tool starts when nothing is random
+};
+
+/// A task: scene, reset distribution, success test. Adding one touches models/ and one file here.
+class Task {
+ public:
+  virtual ~Task() = default;
+
+  const TaskSpec& spec() const noexcept { return spec_; }
+  const Observation& observation() const noexcept { return *observation_; }
+
+  /// Looks the scene's parts up and shapes them. Call once, before anything else. @throws std::runtime_error
+  virtual void attach(Simulation& simulation) = 0;
+
+  /// Draws an episode from its seed and puts arm and scene there. Not real-time. @throws std::runtime_error
+  virtual void reset(MujocoRobot& robot, ArmModel& arm, uint64_t episode_seed) = 0;
+
+  /// Where the object and the goal are now. Real-time.
+  virtual SceneTruth truth(const Simulation& simulation) const noexcept = 0;
+
+  /// Whether the scene shows success. Real-time.
+  virtual bool succeeded(const SceneTruth& truth) const noexcept = 0;
+
+ protected:
+  explicit Task(Section& section);
+
+  TaskSpec spec_;
+  std::unique_ptr<Observation> observation_;
+};
+
+/// Makes the task that `section.name` names. Reads the whole section. @throws ScenarioError
+std::unique_ptr<Task> make_task(Section section);
+
+}  // namespace tandem

@@ -1,0 +1,233 @@
+#include "intervention/scripted_operator.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "base/random.h"
+
+namespace tandem {
+namespace {
+
+constexpr double kHoleDepth = 0.03;  // m, how far below the rim he wants the tip
+
+Pose pose(const double* p, const double* q) { return {{p[0], p[1], p[2]}, Eigen::Quaterniond(q[0], q[1], q[2], q[3])}; }
+
+}  // namespace
+
+OperatorRules read_rules(Section section) {
+  OperatorRules r;
+  r.name = section.text("name");
+  if (r.name.size() > 31) throw ScenarioError(section.place("name") + " is longer than 31 characters.");
+  Section hand = section.section("hand");
+  r.speed_low = hand.number("speed_low", 0.05, 1.0);
+  r.speed_high = hand.number("speed_high", r.speed_low, 1.0);
+  r.gain = hand.number("gain", 0.05, 1.0);
+  r.see_bias_m = hand.number("see_bias_m", 0.0, 0.02);
+  r.see_bias_rad = hand.number("see_bias_rad", 0.0, 0.3);
+  r.see_delay_steps = static_cast<int>(hand.integer("see_delay_steps", 0, 20));
+  r.tremor = hand.number("tremor", 0.0, 1.0);
+  r.tremor_memory = hand.number("tremor_memory", 0.0, 0.99);
+  r.pause_probability = hand.number("pause_probability", 0.0, 0.5);
+  r.pause_steps = static_cast<int>(hand.integer("pause_steps", 1, 50));
+  r.hover_m = hand.number("hover_m", 0.002, 0.1);
+  r.align_m = hand.number("align_m", 0.0001, 0.01);
+  r.align_rad = hand.number("align_rad", 0.001, 0.3);
+  r.touch_m = hand.number("touch_m", 0.0, 0.05);
+  r.touch_force = hand.number("touch_force_N", 0.0, 100.0);
+  r.push_force = hand.number("push_force_N", 0.5, 100.0);
+  r.wiggle_after_steps = static_cast<int>(hand.integer("wiggle_after_steps", 1, 100));
+  r.wiggle_m = hand.number("wiggle_m", 0.0, 0.01);
+  hand.finish();
+  Section help = section.section("help");
+  r.reaction_steps_low = static_cast<int>(help.integer("reaction_steps_low", 0, 50));
+  r.reaction_steps_high = static_cast<int>(help.integer("reaction_steps_high", r.reaction_steps_low, 50));
+  r.no_progress_steps = static_cast<int>(help.integer("no_progress_steps", 2, 10000));
+  r.patience_gain = help.number("patience_gain", 0.0, 100.0);
+  r.progress_m = help.number("progress_m", 0.0, 0.1);
+  r.away_m = help.number("away_m", 0.001, 1.0);
+  r.force = help.number("force_N", 1.0, 1000.0);
+  r.force_steps = static_cast<int>(help.integer("force_steps", 1, 1000));
+  r.hurry_steps = static_cast<int>(help.integer("hurry_steps", 0, 10000));
+  help.finish();
+  Section letgo = section.section("letgo");
+  r.hold_steps = static_cast<int>(letgo.integer("hold_steps", 1, 1000));
+  r.recovered_share = letgo.number("recovered_share", 0.0, 1.0);
+  r.seated_m = letgo.number("seated_m", 0.0, 0.1);
+  r.near_m = letgo.number("near_m", 0.0, 1.0);
+  letgo.finish();
+  section.finish();
+  return r;
+}
+
+teleop_command_t ScriptedOperator::answer(const world_state_t& world) {
+  if (world.episode == episode_ && world.tick == last_.tick_answered) return last_;
+  if (world.episode != episode_ || world.step == 0) begin_episode(world);
+
+  const View now = look(world);
+  views_.push_back(now);
+  while (static_cast<int>(views_.size()) > rules_.see_delay_steps + 1) views_.pop_front();
+  const bool engaged = wants_authority(world, now);
+
+  last_ = teleop_command_t{};
+  last_.utime = world.utime;
+  last_.episode_answered = world.episode;
+  last_.tick_answered = world.tick;
+  last_.engaged = engaged ? 1 : 0;
+  last_.label = teleop_command_t::LABEL_NONE;
+  last_.device_gripper = 1.0;
+  last_.operator_id = rules_.name;
+  const Twist twist = engaged ? move(world, expect(world, views_.front())) : Twist(Twist::Zero());
+  for (int i = 0; i < 6; ++i) last_.device_twist[i] = twist[i];
+  return last_;
+}
+
+void ScriptedOperator::begin_episode(const world_state_t& world) {
+  episode_ = world.episode;
+  Random random = random_for(static_cast<uint64_t>(world.episode_seed), Purpose::operator_episode);
+  speed_ = random.uniform(rules_.speed_low, rules_.speed_high);
+  for (int i = 0; i < 3; ++i) see_bias_[i] = random.normal(rules_.see_bias_m);
+  see_bias_yaw_ = random.normal(rules_.see_bias_rad);
+  reaction_steps_ = static_cast<int>(
+      std::lround(random.uniform(rules_.reaction_steps_low - 0.49, rules_.reaction_steps_high + 0.49)));
+  views_.clear();
+  tremor_.setZero();
+  pause_left_ = stuck_steps_ = 0;
+  aligned_ = engaged_ = false;
+  reason_steps_ = held_steps_ = since_best_ = force_steps_ = 0;
+  best_distance_ = lowest_ = 1e9;
+}
+
+ScriptedOperator::View ScriptedOperator::look(const world_state_t& world) const {
+  const Pose object = pose(world.p_WO, world.q_WO), goal = pose(world.p_WG, world.q_WG);
+  View view;
+  view.X_WE = pose(world.p_WE, world.q_WE);
+  view.R_WG = goal.R.toRotationMatrix();
+  view.tip = goal.R.conjugate() * (object.p - goal.p) + see_bias_;
+  // The object's z points into the hole: turn it about its x axis before comparing.
+  const Eigen::Quaterniond upright = object.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
+  view.yaw = log_map(goal.R * upright.conjugate()).z() + see_bias_yaw_;
+  view.distance = (view.tip + Eigen::Vector3d(0.0, 0.0, kHoleDepth)).norm();
+  view.force = Eigen::Vector3d(world.F_ext_W[0], world.F_ext_W[1], world.F_ext_W[2]).norm();
+  return view;
+}
+
+bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
+  if (now.distance < best_distance_ - rules_.progress_m) {
+    best_distance_ = now.distance;
+    since_best_ = 0;
+  } else {
+    ++since_best_;
+  }
+  force_steps_ = now.force > rules_.force ? force_steps_ + 1 : 0;
+
+  const double patience = 1.0 + rules_.patience_gain * world.autonomous_success;
+  const bool lost = since_best_ > rules_.no_progress_steps * patience;
+  const bool away = now.distance > best_distance_ + rules_.away_m;
+  const bool rough = force_steps_ >= rules_.force_steps;
+  const bool late = world.max_steps - world.step < rules_.hurry_steps && now.tip.z() > -rules_.seated_m;
+  return lost || away || rough || late;
+}
+
+bool ScriptedOperator::lets_go(const View& now) const {
+  if (held_steps_ < rules_.hold_steps) return false;
+  const bool near = distance_at_takeover_ < rules_.near_m + kHoleDepth;
+  if (near) return -now.tip.z() >= rules_.seated_m;
+  return now.distance <= rules_.recovered_share * distance_at_takeover_;
+}
+
+bool ScriptedOperator::wants_authority(const world_state_t& world, const View& now) {
+  if (world.phase == world_state_t::DEMONSTRATION) return true;
+  if (world.phase == world_state_t::EVALUATION) return false;
+  if (engaged_) {
+    ++held_steps_;
+    if (lets_go(now)) {
+      engaged_ = false;
+      reason_steps_ = since_best_ = force_steps_ = 0;
+      best_distance_ = now.distance;
+    }
+    return engaged_;
+  }
+  reason_steps_ = has_reason(world, now) ? reason_steps_ + 1 : 0;
+  if (reason_steps_ > reaction_steps_) {
+    engaged_ = true;
+    held_steps_ = 0;
+    distance_at_takeover_ = now.distance;
+    aligned_ = false;
+    stuck_steps_ = 0;
+    lowest_ = now.tip.z();
+  }
+  return engaged_;
+}
+
+ScriptedOperator::View ScriptedOperator::expect(const world_state_t& world, View seen) const {
+  // In contact he trusts his eyes alone: what he asked for and did not get is pressure, not motion.
+  if (seen.force > rules_.touch_force) return seen;
+  const Pose commanded = pose(world.p_WE_commanded, world.q_WE_commanded);
+  const Twist coming = minus(commanded, seen.X_WE);
+  seen.tip += seen.R_WG.transpose() * coming.head<3>();
+  seen.yaw -= coming[5];
+  return seen;
+}
+
+Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
+  Random random = random_for(static_cast<uint64_t>(world.episode_seed), Purpose::operator_step,
+                             static_cast<uint64_t>(world.step));
+  // Pauses, then tremor: a first-order process that keeps its standard deviation.
+  if (pause_left_ == 0 && random.uniform(0.0, 1.0) < rules_.pause_probability) {
+    pause_left_ = 1 + static_cast<int>(random.uniform(0.0, rules_.pause_steps));
+  }
+  const double fresh = std::sqrt(1.0 - rules_.tremor_memory * rules_.tremor_memory);
+  for (int i = 0; i < 6; ++i) {
+    tremor_[i] = rules_.tremor_memory * tremor_[i] + fresh * random.normal(rules_.tremor);
+  }
+  if (pause_left_ > 0) {
+    --pause_left_;
+    return Twist::Zero();
+  }
+
+  // Where the tip should go, in hole axes: over the axis first, then down it.
+  const double off_axis = seen.tip.head<2>().norm();
+  const bool inside = seen.tip.z() < -0.002;
+  if (off_axis < rules_.align_m && std::abs(seen.yaw) < rules_.align_rad) aligned_ = true;
+  if (off_axis > 5.0 * rules_.align_m && !inside) aligned_ = false;
+  const double target_z = aligned_ || inside ? -kHoleDepth : rules_.hover_m;
+  Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(), target_z - seen.tip.z());
+  // Far off the axis he does not dive: he would hit the block's side.
+  if (off_axis > 0.02 && wanted.z() < 0.0 && seen.tip.z() < 0.02) wanted.z() = 0.0;
+
+  // Stuck in the mouth: wiggle until the tip falls deeper.
+  if (seen.tip.z() < lowest_ - 0.0005) {
+    lowest_ = seen.tip.z();
+    stuck_steps_ = 0;
+  } else if (aligned_ || inside) {
+    ++stuck_steps_;
+  }
+  double turn = seen.yaw;
+  if (stuck_steps_ > rules_.wiggle_after_steps) {
+    wanted.x() += random.uniform(-rules_.wiggle_m, rules_.wiggle_m);
+    wanted.y() += random.uniform(-rules_.wiggle_m, rules_.wiggle_m);
+    turn += random.uniform(-0.03, 0.03);
+  }
+
+  // As a device twist: a share of the error, at most his speed; he presses no further than his hand likes.
+  Eigen::Vector3d step = rules_.gain * (seen.R_WG * wanted);
+  if (seen.tip.z() < rules_.hover_m) step.z() = std::max(step.z(), -rules_.touch_m);
+  if (world.F_ext_W[2] > rules_.push_force && step.z() < 0.0) step.z() = 0.002;
+  Twist twist = Twist::Zero();
+  const double errors[6] = {step.x(), step.y(), step.z(), 0.0, 0.0, rules_.gain * turn};
+  double largest = 1.0;
+  for (int i = 0; i < 6; ++i) {
+    if (world.action_limit[i] <= 0.0) continue;
+    twist[i] = errors[i] / world.action_limit[i];
+    largest = std::max(largest, std::abs(twist[i]) / speed_);
+  }
+  // Slow down on the last millimetres: tremor is a share of the motion, and small when still.
+  twist /= largest;
+  const double calm = std::clamp(seen.distance / 0.05, 0.25, 1.0);
+  for (int i = 0; i < 6; ++i) {
+    if (world.action_limit[i] > 0.0) twist[i] = std::clamp(twist[i] + calm * tremor_[i], -1.0, 1.0);
+  }
+  return twist;
+}
+
+}  // namespace tandem

@@ -1,0 +1,82 @@
+#pragma once
+
+#include <deque>
+#include <tandem/teleop_command_t.hpp>
+#include <tandem/world_state_t.hpp>
+
+#include "base/geometry.h"
+#include "base/section.h"
+
+namespace tandem {
+
+/// The rules of config/operator.yaml; units and reasons stand there.
+struct OperatorRules {
+  std::string name;
+  double speed_low, speed_high, gain, see_bias_m, see_bias_rad;
+  int see_delay_steps;
+  double tremor, tremor_memory, pause_probability;
+  int pause_steps;
+  double hover_m, align_m, align_rad, touch_m, touch_force, push_force, wiggle_m;
+  int wiggle_after_steps;
+  int reaction_steps_low, reaction_steps_high, no_progress_steps;
+  double patience_gain, progress_m, away_m, force;
+  int force_steps, hurry_steps;
+  int hold_steps;
+  double recovered_share, seated_m, near_m;
+};
+
+/// @throws ScenarioError
+OperatorRules read_rules(Section section);
+
+/// A person's stand-in on the teleop channel: demonstrates, watches, takes over, lets go; by published rules.
+///
+/// He sees the truth of the simulator as a person sees the scene: late, with a misjudgement that stays for an episode, and
+/// acts with tremor and pauses. Everything random comes from the episode's seed, so the same WORLD_STATEs give the same
+/// answers; a repeated WORLD_STATE gets the same answer again.
+class ScriptedOperator {
+ public:
+  explicit ScriptedOperator(const OperatorRules& rules) : rules_(rules) {}
+
+  teleop_command_t answer(const world_state_t& world);
+
+ private:
+  /// Where the tip is relative to the hole, as he sees it: hole axes, z = height above the rim.
+  struct View {
+    Eigen::Vector3d tip;
+    double yaw;        ///< rad, turn that would align the peg
+    Pose X_WE;
+    Eigen::Matrix3d R_WG;
+    double distance;   ///< m, to the bottom of the hole
+    double force;      ///< N
+  };
+
+  void begin_episode(const world_state_t& world);
+  View look(const world_state_t& world) const;
+  /// What he has asked for since, and still expects to happen, added to what he saw.
+  View expect(const world_state_t& world, View seen) const;
+  bool wants_authority(const world_state_t& world, const View& now);
+  bool has_reason(const world_state_t& world, const View& now);
+  bool lets_go(const View& now) const;
+  Twist move(const world_state_t& world, const View& seen);
+
+  OperatorRules rules_;
+  teleop_command_t last_{};
+
+  int64_t episode_ = -1;
+  double speed_ = 1.0;
+  Eigen::Vector3d see_bias_ = Eigen::Vector3d::Zero();
+  double see_bias_yaw_ = 0.0;
+  int reaction_steps_ = 0;
+
+  std::deque<View> views_;
+  Twist tremor_ = Twist::Zero();
+  int pause_left_ = 0, stuck_steps_ = 0;
+  double lowest_ = 0.0;
+  bool aligned_ = false;
+
+  bool engaged_ = false;
+  int reason_steps_ = 0, held_steps_ = 0, since_best_ = 0, force_steps_ = 0;
+  double best_distance_ = 0.0, distance_at_takeover_ = 0.0;
+};
+
+}  // namespace tandem
