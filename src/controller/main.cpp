@@ -121,7 +121,7 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   ArmModel model((checkout / "models/panda/panda.urdf").string());
   model.set_load(simulation.held_load());
   check_model(simulation, model);
-  MujocoRobot robot(simulation);
+  MujocoRobot robot(simulation, scenario.control.robot);
 
   // The log says where an earlier run stopped.
   std::optional<EventLog> log;

@@ -192,8 +192,9 @@ Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
   if (off_axis > 5.0 * rules_.align_m && !inside) aligned_ = false;
   const double target_z = aligned_ || inside ? -kHoleDepth : rules_.hover_m;
   Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(), target_z - seen.tip.z());
-  // Far off the axis he does not dive: he would hit the block's side.
+  // Off the axis he stays clear of the block, and lifts the peg before he carries it over.
   if (off_axis > 0.02 && wanted.z() < 0.0 && seen.tip.z() < 0.02) wanted.z() = 0.0;
+  if (off_axis > 5.0 * rules_.align_m && seen.tip.z() < 0.5 * rules_.hover_m) wanted.head<2>() *= 0.1;
 
   // Stuck in the mouth: wiggle until the tip falls deeper.
   if (seen.tip.z() < lowest_ - 0.0005) {

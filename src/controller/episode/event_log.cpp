@@ -9,7 +9,7 @@
 namespace tandem {
 
 EventLog::EventLog(const std::string& path) : path_(path) {
-  if (std::filesystem::exists(path) && std::filesystem::file_size(path) > 0) recover(path);
+  if (std::filesystem::is_regular_file(path) && std::filesystem::file_size(path) > 0) recover(path);
   file_ = std::make_unique<lcm::LogFile>(path, "a");
   if (!file_->good()) {
     throw std::runtime_error(path + ": the event log can't be written (" + std::strerror(errno) +

@@ -1,13 +1,15 @@
 #include "controller/law/arm_model.h"
 
-#include <kdl_parser/kdl_parser.hpp>
 #include <urdf_parser/urdf_parser.h>
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <fstream>
+#include <kdl_parser/kdl_parser.hpp>
 #include <set>
 #include <stdexcept>
+#include <vector>
 
 namespace tandem {
 namespace {
@@ -17,11 +19,13 @@ const char kTool[] = "tool";
 
 KDL::RigidBodyInertia to_kdl(const Load& load) {
   const Eigen::Matrix3d& I = load.inertia_E;
-  return KDL::RigidBodyInertia(load.mass, KDL::Vector(load.com_E.x(), load.com_E.y(), load.com_E.z()),
-                               KDL::RotationalInertia(I(0, 0), I(1, 1), I(2, 2), I(0, 1), I(0, 2), I(1, 2)));
+  return KDL::RigidBodyInertia(
+      load.mass, KDL::Vector(load.com_E.x(), load.com_E.y(), load.com_E.z()),
+      KDL::RotationalInertia(I(0, 0), I(1, 1), I(2, 2), I(0, 1), I(0, 2), I(1, 2)));
 }
 
-// Inertia of a branch in its parent's tip frame, everything in it rigid; sliding joints stand at `slide`.
+// Inertia of a branch in its parent's tip frame, everything in it rigid; sliding joints stand at
+// `slide`.
 KDL::RigidBodyInertia branch_inertia(const KDL::TreeElement& element, double slide) {
   const KDL::Segment& segment = element.segment;
   const bool slides = segment.getJoint().getType() == KDL::Joint::TransAxis;
@@ -30,11 +34,13 @@ KDL::RigidBodyInertia branch_inertia(const KDL::TreeElement& element, double sli
   return segment.pose(slides ? slide : 0.0) * sum;
 }
 
-KDL::Segment with_inertia(const KDL::Segment& s, const KDL::Frame& tip, const KDL::RigidBodyInertia& inertia) {
+KDL::Segment with_inertia(const KDL::Segment& s, const KDL::Frame& tip,
+                          const KDL::RigidBodyInertia& inertia) {
   return KDL::Segment(s.getName(), s.getJoint(), tip, inertia);
 }
 
-// The chain to the tool in seven segments: bodies behind fixed joints and side branches merged with the body that carries them.
+// The chain to the tool in seven segments: bodies behind fixed joints and side branches merged with
+// the body that carries them.
 KDL::Chain merged_chain(const KDL::Tree& tree, const KDL::Chain& path, double slide) {
   std::set<std::string> on_path;
   for (const KDL::Segment& s : path.segments) on_path.insert(s.getName());
@@ -61,25 +67,31 @@ KDL::Chain merged_chain(const KDL::Tree& tree, const KDL::Chain& path, double sl
 
 ArmModel::ArmModel(const std::string& urdf_path, double gripper_width, double armature)
     : path_(urdf_path), gripper_width_(gripper_width), armature_(armature) {
+  if (!std::ifstream(urdf_path))
+    throw std::runtime_error(urdf_path + ": the URDF of the arm cannot be opened.");
   const urdf::ModelInterfaceSharedPtr urdf = urdf::parseURDFFile(urdf_path);
-  if (!urdf) throw std::runtime_error(urdf_path + ": the file is missing or not a URDF model.");
+  if (!urdf) throw std::runtime_error(urdf_path + ": the file is not a URDF model.");
   KDL::Tree tree;
   KDL::Chain path;
-  if (!kdl_parser::treeFromUrdfModel(*urdf, tree) || !tree.getChain(urdf->getRoot()->name, kTool, path)) {
-    throw std::runtime_error(urdf_path + ": there is no chain from link `" + urdf->getRoot()->name + "` to link `" + kTool +
+  if (!kdl_parser::treeFromUrdfModel(*urdf, tree) ||
+      !tree.getChain(urdf->getRoot()->name, kTool, path)) {
+    throw std::runtime_error(urdf_path + ": there is no chain from link `" + urdf->getRoot()->name +
+                             "` to link `" + kTool +
                              "`; the tool frame E must be a link of that name.");
   }
   bare_ = merged_chain(tree, path, 0.5 * gripper_width);
   if (bare_.getNrOfJoints() != 7) {
-    throw std::runtime_error(urdf_path + ": " + std::to_string(bare_.getNrOfJoints()) + " joints lead to link `" + kTool +
-                             "`; the controller is made for 7.");
+    throw std::runtime_error(urdf_path + ": " + std::to_string(bare_.getNrOfJoints()) +
+                             " joints lead to link `" + kTool + "`; the controller is made for 7.");
   }
   int i = 0;
   for (const KDL::Segment& s : bare_.segments) {
     if (s.getJoint().getType() == KDL::Joint::Fixed) continue;
     const urdf::JointConstSharedPtr joint = urdf->getJoint(s.getJoint().getName());
-    if (joint->type != urdf::Joint::REVOLUTE || !joint->limits || !(joint->limits->lower < joint->limits->upper)) {
-      throw std::runtime_error(urdf_path + ": " + joint->name + " must be revolute with <limit lower upper velocity effort>.");
+    if (joint->type != urdf::Joint::REVOLUTE || !joint->limits ||
+        !(joint->limits->lower < joint->limits->upper)) {
+      throw std::runtime_error(urdf_path + ": " + joint->name +
+                               " must be revolute with <limit lower upper velocity effort>.");
     }
     lower_[i] = joint->limits->lower;
     upper_[i] = joint->limits->upper;
@@ -91,11 +103,14 @@ ArmModel::ArmModel(const std::string& urdf_path, double gripper_width, double ar
 }
 
 void ArmModel::set_load(const Load& load) {
-  const bool finite = std::isfinite(load.mass) && load.com_E.allFinite() && load.inertia_E.allFinite();
+  const bool finite =
+      std::isfinite(load.mass) && load.com_E.allFinite() && load.inertia_E.allFinite();
   if (!finite || load.mass < 0 || !load.inertia_E.isApprox(load.inertia_E.transpose(), 1e-9) ||
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(load.inertia_E).eigenvalues().minCoeff() < -1e-12) {
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(load.inertia_E).eigenvalues().minCoeff() <
+          -1e-12) {
     throw std::invalid_argument("The load in hand (" + std::to_string(load.mass) +
-                                " kg) is not a rigid body: mass must be >= 0 kg and its inertia symmetric, finite and >= 0.");
+                                " kg) is not a rigid body: mass must be >= 0 kg and its inertia "
+                                "symmetric, finite and >= 0.");
   }
   load_ = load;
   chain_ = KDL::Chain();
@@ -153,7 +168,8 @@ void ArmModel::kinematics(const JointVector& q, Pose& X_WE, Jacobian& J) const n
     J.col(i) << v.x(), v.y(), v.z(), axis[i].x(), axis[i].y(), axis[i].z();
   }
   X_WE.p = Eigen::Vector3d(tip.p.x(), tip.p.y(), tip.p.z());
-  X_WE.R = Eigen::Quaterniond(Eigen::Matrix3d(Eigen::Matrix<double, 3, 3, Eigen::RowMajor>::Map(tip.M.data)));
+  X_WE.R = Eigen::Quaterniond(
+      Eigen::Matrix3d(Eigen::Matrix<double, 3, 3, Eigen::RowMajor>::Map(tip.M.data)));
   if (X_WE.R.w() < 0) X_WE.R.coeffs() *= -1;
 }
 
@@ -171,11 +187,15 @@ JointVector ArmModel::solve_ik(const Pose& X_WE, const JointVector& seed) {
     if (error.norm() < kTolerance) return q;
     JointVector step = JointVector::Zero();
     for (int attempt = 0; attempt < 7; ++attempt) {
-      const Twist dual = (J * J.transpose() + kDamping * kDamping * Eigen::Matrix<double, 6, 6>::Identity()).ldlt().solve(error);
+      const Twist dual =
+          (J * J.transpose() + kDamping * kDamping * Eigen::Matrix<double, 6, 6>::Identity())
+              .ldlt()
+              .solve(error);
       step = J.transpose() * dual;
       bool blocked = false;
       for (int i = 0; i < 7; ++i) {
-        if ((q[i] <= lower_[i] && step[i] < 0) || (q[i] >= upper_[i] && step[i] > 0)) J.col(i).setZero(), blocked = true;
+        if ((q[i] <= lower_[i] && step[i] < 0) || (q[i] >= upper_[i] && step[i] > 0))
+          J.col(i).setZero(), blocked = true;
       }
       if (!blocked) break;
     }
@@ -184,10 +204,13 @@ JointVector ArmModel::solve_ik(const Pose& X_WE, const JointVector& seed) {
     q = (q + step).cwiseMax(lower_).cwiseMin(upper_);
   }
   char text[400];
-  std::snprintf(text, sizeof text,
-                "No joint angles within the limits of %s bring the tool to p = (%.4f, %.4f, %.4f) m: %.2f mm and %.2f mrad remain. "
-                "Choose a pose in reach (about 0.85 m around the shoulder at 0.333 m) or another seed.",
-                path_.c_str(), X_WE.p.x(), X_WE.p.y(), X_WE.p.z(), 1e3 * error.head<3>().norm(), 1e3 * error.tail<3>().norm());
+  std::snprintf(
+      text, sizeof text,
+      "No joint angles within the limits of %s bring the tool to p = (%.4f, %.4f, %.4f) m: %.2f mm "
+      "and %.2f mrad remain. "
+      "Choose a pose in reach (about 0.85 m around the shoulder at 0.333 m) or another seed.",
+      path_.c_str(), X_WE.p.x(), X_WE.p.y(), X_WE.p.z(), 1e3 * error.head<3>().norm(),
+      1e3 * error.tail<3>().norm());
   throw std::runtime_error(text);
 }
 

@@ -2,7 +2,6 @@
 
 #include <kdl/chain.hpp>
 #include <kdl/chaindynparam.hpp>
-
 #include <memory>
 #include <string>
 
@@ -23,17 +22,22 @@ struct ArmState {
 
 /// Rigid-body model of arm, hand and load: a URDF computed by KDL.
 ///
-/// The chain runs from the URDF's root to link `tool` (= E). Links behind fixed joints are merged with their parents, and side
-/// branches (the fingers) count as rigid at `gripper_width`. Rotor inertia, which URDF cannot say, is added to the mass matrix.
+/// The chain runs from the URDF's root to link `tool` (= E). Links behind fixed joints are merged
+/// with their parents, and side branches (the fingers) count as rigid at `gripper_width`. Rotor
+/// inertia, which URDF cannot say, is added to the mass matrix.
 ///
-/// Real-time: update(), mass() and gravity() do not allocate and are noexcept. One thread a model: it holds the solvers' workspace.
+/// Real-time: update(), mass() and gravity() do not allocate and are noexcept. One thread a model:
+/// it holds the solvers' workspace.
 class ArmModel {
  public:
   /// `gripper_width` m, at which the fingers' inertia is taken; `armature` kg m^2 a joint.
-  /// @throws std::runtime_error with a sentence if the file is not a URDF with seven revolute joints up to `tool`.
-  explicit ArmModel(const std::string& urdf_path, double gripper_width = 0.02, double armature = 0.1);
+  /// @throws std::runtime_error with a sentence if the file is not a URDF with seven revolute
+  /// joints up to `tool`.
+  explicit ArmModel(const std::string& urdf_path, double gripper_width = 0.02,
+                    double armature = 0.1);
 
-  /// The object in hand, in place of the one before. Not real-time. @throws std::invalid_argument if it is not physical.
+  /// The object in hand, in place of the one before. Not real-time. @throws std::invalid_argument
+  /// if it is not physical.
   void set_load(const Load& load);
   const Load& load() const { return load_; }
 
@@ -46,11 +50,14 @@ class ArmModel {
   /// Torque that holds the arm against gravity at q, N m.
   JointVector gravity(const JointVector& q) noexcept;
 
-  /// Joints that bring E to X_WE, near `seed`: within limits, least motion from the seed. Not real-time, deterministic.
-  /// @throws std::runtime_error with a sentence if there is none in reach: the remaining error and the joints at their limits.
+  /// Joints that bring E to X_WE, near `seed`: within limits, least motion from the seed. Not
+  /// real-time, deterministic.
+  /// @throws std::runtime_error with a sentence if there is none in reach, with the error that
+  /// remains.
   JointVector solve_ik(const Pose& X_WE, const JointVector& seed);
 
-  double gripper_width() const { return gripper_width_; }          ///< m, at which the fingers' inertia was taken
+  /// m, at which the fingers' inertia was taken.
+  double gripper_width() const { return gripper_width_; }
   const JointVector& lower_limit() const { return lower_; }        ///< rad
   const JointVector& upper_limit() const { return upper_; }        ///< rad
   const JointVector& velocity_limit() const { return velocity_; }  ///< rad/s

@@ -65,8 +65,10 @@ PolicyLoader::PolicyLoader(policy::PolicySlot& slot, const Task& task, Settings 
     : slot_(slot),
       task_(task),
       settings_(std::move(settings)),
-      acknowledge_(std::move(acknowledge)),
-      thread_([this] { run(); }) {}
+      acknowledge_(std::move(acknowledge)) {
+  in_force_.episodes_trained_through = kNothing;
+  thread_ = std::thread([this] { run(); });
+}
 
 PolicyLoader::~PolicyLoader() {
   {
@@ -97,10 +99,9 @@ void PolicyLoader::announce(const policy_announce_t& announcement) {
 int32_t PolicyLoader::put_in_force(int64_t episode, std::chrono::milliseconds timeout) {
   std::unique_lock lock(mutex_);
   wanted_ = episode;
-  in_force_ = 0;
   work_.notify_one();
-  done_.wait_for(lock, timeout, [this] { return in_force_ != 0; });
-  return in_force_;
+  const bool there = done_.wait_for(lock, timeout, [&] { return in_force_.episodes_trained_through == episode; });
+  return there ? in_force_.version : 0;
 }
 
 policy_announce_t PolicyLoader::announcement(int32_t version) const {
@@ -132,12 +133,11 @@ void PolicyLoader::run() {
       queue_.pop_front();
       continue;
     }
-    if (const auto found = ready_.find(wanted_); wanted_ >= -1 && found != ready_.end()) {
+    if (const auto found = ready_.find(wanted_); found != ready_.end()) {
       // Older ones can't be asked for any more.
       Loaded chosen = std::move(found->second);
       ready_.erase(ready_.begin(), std::next(found));
-      in_force_ = chosen.announcement.version;
-      wanted_ = -2;
+      in_force_ = chosen.announcement;
       slot_.publish(std::move(chosen.policy));
       done_.notify_all();
       continue;

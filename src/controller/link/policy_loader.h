@@ -53,6 +53,7 @@ class PolicyLoader {
   int64_t refused_count() const;
 
  private:
+  static constexpr int64_t kNothing = -2;
   struct Loaded {
     policy_announce_t announcement;
     std::unique_ptr<const policy::Policy> policy;
@@ -71,8 +72,8 @@ class PolicyLoader {
   std::map<int32_t, policy_announce_t> announced_;
   std::map<int32_t, policy_ack_t> answered_;
   std::map<int64_t, Loaded> ready_;  // by episodes_trained_through
-  int64_t wanted_ = -2;              // episodes_trained_through that the control side waits for
-  int32_t in_force_ = 0;
+  int64_t wanted_ = kNothing;        // episodes_trained_through that the control side asks for
+  policy_announce_t in_force_;       // of what was put in the slot last (lockstep)
   std::string refusal_;
   int64_t refused_count_ = 0;
   bool stopping_ = false;

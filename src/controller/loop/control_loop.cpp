@@ -25,6 +25,10 @@ ControlSettings read_control(Section section) {
   settings.teleop_hold_ms = static_cast<int>(handover.integer("hold_after_ms", 20, 10000));
   settings.teleop_release_ms = static_cast<int>(handover.integer("release_after_ms", 20, 60000));
   handover.finish();
+  Section robot = section.section("robot");
+  settings.robot.collision_force = robot.number("collision_force_N", 1.0, 1000.0);
+  settings.robot.collision_torque.setConstant(robot.number("collision_torque_Nm", 1.0, 87.0));
+  robot.finish();
   settings.force_filter_hz = section.number("force_filter_hz", 0.5, 400.0);
   section.finish();
   return settings;

@@ -7,7 +7,7 @@
 #include "controller/chunk/reference_filter.h"
 #include "controller/episode/record.h"
 #include "controller/law/cartesian_impedance.h"
-#include "controller/robot/robot.h"
+#include "controller/robot/mujoco_robot.h"
 #include "controller/safety/torque_filter.h"
 #include "controller/task/task.h"
 #include "intervention/arbiter.h"
@@ -21,6 +21,7 @@ struct ControlSettings {
   Twist reference_acceleration;        ///< m/s^2, rad/s^2
   double force_filter_hz = 0.0;        ///< cut-off of the wrench that observation and operator see
   int ramp_in_ticks = 1, ramp_out_ticks = 1;
+  MujocoRobotOptions robot;            ///< reflex thresholds
   int teleop_hold_ms = 0, teleop_release_ms = 0;  ///< real time: age of the human's last word
 };
 

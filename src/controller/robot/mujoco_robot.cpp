@@ -10,13 +10,16 @@ namespace {
 
 constexpr int kMissesToFault = 20;
 constexpr int kWindow = 100;
-// Nominal: 1000 N m/s at 1 kHz. A limiter aims a little below (999.999 N m/s), so that rounding never trips the robot.
+// Nominal: 1000 N m/s at 1 kHz. A limiter aims a little below (999.999 N m/s), so that rounding
+// never trips the robot.
 constexpr double kTorqueStep = 1000.0 * Simulation::kTimeStep;
-constexpr double kFilter = 0.05;            // of a new value in the collision filter: 20 ms
-constexpr double kWidest = 0.08;            // m, gripper
-constexpr double kRestingSpeed = 0.02;      // rad/s, below which the brakes hold the position
-constexpr double kFingerStiffness = 4000.0, kFingerDamping = 40.0;        // N/m, N s/m, of the width, a finger
-constexpr double kCouplingStiffness = 10000.0, kCouplingDamping = 60.0;  // the fingers' gear: keeps them symmetric
+constexpr double kFilter = 0.05;        // of a new value in the collision filter: 20 ms
+constexpr double kWidest = 0.08;        // m, gripper
+constexpr double kRestingSpeed = 0.02;  // rad/s, below which the brakes hold the position
+constexpr double kFingerStiffness = 4000.0,
+                 kFingerDamping = 40.0;  // N/m, N s/m, of the width, a finger
+constexpr double kCouplingStiffness = 10000.0,
+                 kCouplingDamping = 60.0;  // the fingers' gear: keeps them symmetric
 
 JointVector make(double a, double b, double c, double d, double e, double f, double g) {
   JointVector v;
@@ -24,14 +27,16 @@ JointVector make(double a, double b, double c, double d, double e, double f, dou
   return v;
 }
 
-const JointVector kTorqueLimit = make(87, 87, 87, 87, 12, 12, 12);                       // N m, FER
-const JointVector kVelocityLimit = make(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61);  // rad/s, FER
-const JointVector kBrakeStiffness = make(2500, 2500, 2500, 2500, 1000, 1000, 1000);     // N m/rad
-const JointVector kBrakeDamping = make(100, 100, 100, 100, 30, 30, 30);                 // N m s/rad
+const JointVector kTorqueLimit = make(87, 87, 87, 87, 12, 12, 12);  // N m, FER
+const JointVector kVelocityLimit =
+    make(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61);                              // rad/s, FER
+const JointVector kBrakeStiffness = make(2500, 2500, 2500, 2500, 1000, 1000, 1000);  // N m/rad
+const JointVector kBrakeDamping = make(100, 100, 100, 100, 30, 30, 30);              // N m s/rad
 
 void require(bool good, const char* name, double value, const char* range) {
   if (!good) {
-    throw std::invalid_argument(std::string("Robot option ") + name + " is " + std::to_string(value) + "; it must be " + range + ".");
+    throw std::invalid_argument(std::string("Robot option ") + name + " is " +
+                                std::to_string(value) + "; it must be " + range + ".");
   }
 }
 
@@ -39,11 +44,15 @@ void require(bool good, const char* name, double value, const char* range) {
 
 MujocoRobot::MujocoRobot(Simulation& simulation, const MujocoRobotOptions& options)
     : simulation_(simulation), options_(options), random_(options.seed) {
-  require(options.collision_torque.minCoeff() > 0, "collision_torque", options.collision_torque.minCoeff(), "above 0 N m");
+  require(options.collision_torque.minCoeff() > 0, "collision_torque",
+          options.collision_torque.minCoeff(), "above 0 N m");
   require(options.collision_force > 0, "collision_force", options.collision_force, "above 0 N");
-  require(options.gripper_speed > 0 && options.gripper_speed <= 1, "gripper_speed", options.gripper_speed, "in (0, 1] m/s");
-  require(options.gripper_force > 0 && options.gripper_force <= 140, "gripper_force", options.gripper_force, "in (0, 140] N");
-  require(options.packet_loss >= 0 && options.packet_loss < 1, "packet_loss", options.packet_loss, "in [0, 1)");
+  require(options.gripper_speed > 0 && options.gripper_speed <= 1, "gripper_speed",
+          options.gripper_speed, "in (0, 1] m/s");
+  require(options.gripper_force > 0 && options.gripper_force <= 140, "gripper_force",
+          options.gripper_force, "in (0, 140] N");
+  require(options.packet_loss >= 0 && options.packet_loss < 1, "packet_loss", options.packet_loss,
+          "in [0, 1)");
   place(simulation.q(), simulation.finger_position().sum());
 }
 
@@ -140,7 +149,8 @@ void MujocoRobot::pass_braking() noexcept {
   for (int i = 0; i < 7; ++i) {
     if (std::abs(state_.dq[i]) > kRestingSpeed) hold_[i] = state_.q[i];
   }
-  const JointVector wanted = kBrakeStiffness.cwiseProduct(hold_ - state_.q) - kBrakeDamping.cwiseProduct(state_.dq);
+  const JointVector wanted =
+      kBrakeStiffness.cwiseProduct(hold_ - state_.q) - kBrakeDamping.cwiseProduct(state_.dq);
   pass(wanted.cwiseMax(-kTorqueLimit).cwiseMin(kTorqueLimit));
 }
 
@@ -170,7 +180,8 @@ bool MujocoRobot::lost() noexcept {
 
 bool MujocoRobot::outside_position_limits() const noexcept {
   for (int i = 0; i < 7; ++i) {
-    if (state_.q[i] < simulation_.lower_limit(i) || state_.q[i] > simulation_.upper_limit(i)) return true;
+    if (state_.q[i] < simulation_.lower_limit(i) || state_.q[i] > simulation_.upper_limit(i))
+      return true;
   }
   return false;
 }
@@ -179,9 +190,11 @@ Eigen::Vector2d MujocoRobot::finger_force() noexcept {
   const double travel = options_.gripper_speed * Simulation::kTimeStep;
   grip_reference_ += std::clamp(grip_target_ - grip_reference_, -travel, travel);
   const Eigen::Vector2d p = simulation_.finger_position(), v = simulation_.finger_velocity();
-  const double wanted = 0.5 * (kFingerStiffness * (grip_reference_ - p.sum()) - kFingerDamping * v.sum());
+  const double wanted =
+      0.5 * (kFingerStiffness * (grip_reference_ - p.sum()) - kFingerDamping * v.sum());
   const double width = std::clamp(wanted, -options_.gripper_force, options_.gripper_force);
-  const double centre = 0.5 * (kCouplingStiffness * (p[1] - p[0]) + kCouplingDamping * (v[1] - v[0]));
+  const double centre =
+      0.5 * (kCouplingStiffness * (p[1] - p[0]) + kCouplingDamping * (v[1] - v[0]));
   return {width + centre, width - centre};
 }
 

@@ -14,7 +14,9 @@ Pose from_mujoco(const mjtNum* p, const mjtNum* q) {
   return X;
 }
 
-Eigen::Matrix3d matrix(const mjtNum* row_major) { return Eigen::Matrix<double, 3, 3, Eigen::RowMajor>::Map(row_major); }
+Eigen::Matrix3d matrix(const mjtNum* row_major) {
+  return Eigen::Matrix<double, 3, 3, Eigen::RowMajor>::Map(row_major);
+}
 
 Pose from_mujoco_matrix(const mjtNum* p, const mjtNum* row_major) {
   mjtNum q[4];
@@ -22,22 +24,25 @@ Pose from_mujoco_matrix(const mjtNum* p, const mjtNum* row_major) {
   return from_mujoco(p, q);
 }
 
-// MuJoCo's default is a message on stderr and a file in the working directory, once a warning, from within the loop.
+// MuJoCo's default is a message on stderr and a file in the working directory, once a warning, from
+// within the loop.
 void ignore_warning(const char*) {}
 
 }  // namespace
 
-Simulation::Simulation(const std::string& scene_path) : path_(scene_path) {
+Simulation::Simulation(const std::string& scene_path, const mjVFS* files) : path_(scene_path) {
   mju_user_warning = ignore_warning;
   char reason[1000] = "";
-  model_.reset(mj_loadXML(scene_path.c_str(), nullptr, reason, sizeof reason));
+  model_.reset(mj_loadXML(scene_path.c_str(), files, reason, sizeof reason));
   if (!model_) throw std::runtime_error(scene_path + ": MuJoCo cannot load the scene: " + reason);
   if (std::abs(model_->opt.timestep - kTimeStep) > 1e-12) {
-    throw std::runtime_error(scene_path + ": the time step is " + std::to_string(model_->opt.timestep) +
+    throw std::runtime_error(scene_path + ": the time step is " +
+                             std::to_string(model_->opt.timestep) +
                              " s; the robot's cycle is 0.001 s. Set <option timestep=\"0.001\"/>.");
   }
   data_.reset(mj_makeData(model_.get()));
-  if (!data_) throw std::runtime_error(scene_path + ": MuJoCo cannot allocate the simulation's data.");
+  if (!data_)
+    throw std::runtime_error(scene_path + ": MuJoCo cannot allocate the simulation's data.");
 
   for (int i = 0; i < 7; ++i) {
     arm_joint_[i] = find(mjOBJ_JOINT, "joint", "joint" + std::to_string(i + 1));
@@ -46,7 +51,8 @@ Simulation::Simulation(const std::string& scene_path) : path_(scene_path) {
     if (i == 0) arm_q_ = q, arm_v_ = v;
     if (q != arm_q_ + i || v != arm_v_ + i) {
       throw std::runtime_error(scene_path + ": joint" + std::to_string(i + 1) +
-                               " does not follow the joint before it; joints 1 to 7 must be one chain, as in panda.xml.");
+                               " does not follow the joint before it; joints 1 to 7 must be one "
+                               "chain, as in panda.xml.");
     }
     limits_(i, 0) = model_->jnt_range[2 * arm_joint_[i]];
     limits_(i, 1) = model_->jnt_range[2 * arm_joint_[i] + 1];
@@ -60,10 +66,13 @@ Simulation::Simulation(const std::string& scene_path) : path_(scene_path) {
   hand_body_ = body("hand");
   tool_site_ = site("tool");
   if (model_->site_bodyid[tool_site_] != hand_body_) {
-    throw std::runtime_error(scene_path + ": site `tool` is not on body `hand`; E must be fixed to the hand, as in panda.xml.");
+    throw std::runtime_error(
+        scene_path +
+        ": site `tool` is not on body `hand`; E must be fixed to the hand, as in panda.xml.");
   }
   on_hand_ = std::make_unique<bool[]>(model_->nbody);
-  for (int b = 0; b < model_->nbody; ++b) on_hand_[b] = b == hand_body_ || (b > 0 && on_hand_[model_->body_parentid[b]]);
+  for (int b = 0; b < model_->nbody; ++b)
+    on_hand_[b] = b == hand_body_ || (b > 0 && on_hand_[model_->body_parentid[b]]);
   forward();
 }
 
@@ -77,18 +86,24 @@ void Simulation::step(const JointVector& tau, const Eigen::Vector2d& finger_forc
   mj_step1(model_.get(), data_.get());
 }
 
-// A joint carries the weight of the subtree behind it: m_subtree g at that subtree's centre of mass.
+// A joint carries the weight of the subtree behind it: m_subtree g at that subtree's centre of
+// mass.
 void Simulation::compensate_gravity() noexcept {
   const Eigen::Vector3d g = Eigen::Vector3d::Map(model_->opt.gravity);
-  const auto weight = [&](int joint) -> Eigen::Vector3d { return g * model_->body_subtreemass[model_->jnt_bodyid[joint]]; };
+  const auto weight = [&](int joint) -> Eigen::Vector3d {
+    return g * model_->body_subtreemass[model_->jnt_bodyid[joint]];
+  };
   for (int i = 0; i < 7; ++i) {
     const int joint = arm_joint_[i];
-    const Eigen::Vector3d arm = Eigen::Vector3d::Map(data_->subtree_com + 3 * model_->jnt_bodyid[joint]) -
-                                Eigen::Vector3d::Map(data_->xanchor + 3 * joint);
-    data_->qfrc_applied[arm_v_ + i] -= Eigen::Vector3d::Map(data_->xaxis + 3 * joint).dot(arm.cross(weight(joint)));
+    const Eigen::Vector3d arm =
+        Eigen::Vector3d::Map(data_->subtree_com + 3 * model_->jnt_bodyid[joint]) -
+        Eigen::Vector3d::Map(data_->xanchor + 3 * joint);
+    data_->qfrc_applied[arm_v_ + i] -=
+        Eigen::Vector3d::Map(data_->xaxis + 3 * joint).dot(arm.cross(weight(joint)));
   }
   for (int i = 0; i < 2; ++i) {
-    data_->qfrc_applied[finger_v_[i]] -= Eigen::Vector3d::Map(data_->xaxis + 3 * finger_joint_[i]).dot(weight(finger_joint_[i]));
+    data_->qfrc_applied[finger_v_[i]] -=
+        Eigen::Vector3d::Map(data_->xaxis + 3 * finger_joint_[i]).dot(weight(finger_joint_[i]));
   }
 }
 
@@ -127,7 +142,9 @@ void Simulation::set_arm(const JointVector& q, double gripper_width) noexcept {
 
 void Simulation::forward() noexcept { mj_step1(model_.get(), data_.get()); }
 
-Pose Simulation::body_pose(int body) const noexcept { return from_mujoco(data_->xpos + 3 * body, data_->xquat + 4 * body); }
+Pose Simulation::body_pose(int body) const noexcept {
+  return from_mujoco(data_->xpos + 3 * body, data_->xquat + 4 * body);
+}
 
 Pose Simulation::site_pose(int site) const noexcept {
   return from_mujoco_matrix(data_->site_xpos + 3 * site, data_->site_xmat + 9 * site);
@@ -152,8 +169,12 @@ Load Simulation::held_load() const {
   const int left = model_->jnt_bodyid[finger_joint_[0]];
   const int right = model_->jnt_bodyid[finger_joint_[1]];
   const Pose X_EW = inverse(tool_pose());
-  const auto held = [&](int b) { return on_hand_[b] && b != hand_body_ && b != left && b != right; };
-  const auto com_E = [&](int b) -> Eigen::Vector3d { return X_EW.p + X_EW.R * Eigen::Vector3d::Map(data_->xipos + 3 * b); };
+  const auto held = [&](int b) {
+    return on_hand_[b] && b != hand_body_ && b != left && b != right;
+  };
+  const auto com_E = [&](int b) -> Eigen::Vector3d {
+    return X_EW.p + X_EW.R * Eigen::Vector3d::Map(data_->xipos + 3 * b);
+  };
   for (int b = 0; b < model_->nbody; ++b) {
     if (!held(b)) continue;
     load.mass += model_->body_mass[b];
@@ -165,8 +186,10 @@ Load Simulation::held_load() const {
     if (!held(b)) continue;
     const Eigen::Matrix3d R_EI = X_EW.R.toRotationMatrix() * matrix(data_->ximat + 9 * b);
     const Eigen::Vector3d r = com_E(b) - load.com_E;
-    load.inertia_E += R_EI * Eigen::Vector3d::Map(model_->body_inertia + 3 * b).asDiagonal() * R_EI.transpose();
-    load.inertia_E += model_->body_mass[b] * (r.squaredNorm() * Eigen::Matrix3d::Identity() - r * r.transpose());
+    load.inertia_E +=
+        R_EI * Eigen::Vector3d::Map(model_->body_inertia + 3 * b).asDiagonal() * R_EI.transpose();
+    load.inertia_E +=
+        model_->body_mass[b] * (r.squaredNorm() * Eigen::Matrix3d::Identity() - r * r.transpose());
   }
   return load;
 }
@@ -179,8 +202,10 @@ int Simulation::find(int type, const char* kind, const std::string& name) const 
   const int id = mj_name2id(model_.get(), type, name.c_str());
   if (id >= 0) return id;
   std::string names;
-  for (int i = 0; const char* other = mj_id2name(model_.get(), type, i); ++i) names += std::string(i ? ", " : "") + other;
-  throw std::runtime_error(path_ + ": the scene has no " + kind + " named `" + name + "`; it has: " + names + ".");
+  for (int i = 0; const char* other = mj_id2name(model_.get(), type, i); ++i)
+    names += std::string(i ? ", " : "") + other;
+  throw std::runtime_error(path_ + ": the scene has no " + kind + " named `" + name +
+                           "`; it has: " + names + ".");
 }
 
 }  // namespace tandem

@@ -82,8 +82,9 @@ void run(const std::string& path, const std::string& input, const std::string& o
 
   std::ifstream in(input);
   if (!in) throw PolicyError(input + ": it cannot be read. Check the path.");
+  const Json json = Json::parse(in);
   Json chunks = Json::array();
-  for (const Json& row : Json::parse(in).at("observation")) {
+  for (const Json& row : json.at("observation")) {
     const auto observation = row.get<std::vector<float>>();
     if (static_cast<int>(observation.size()) != header.observation_size()) {
       throw PolicyError(input + ": an observation has " + std::to_string(observation.size()) +

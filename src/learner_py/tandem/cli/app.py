@@ -1,0 +1,45 @@
+"""All commands of ./tandem."""
+
+import typer
+
+from tandem import __version__
+from tandem.cli import bench, demo, doctor, evaluate, log, table, test, train
+
+app = typer.Typer(
+    name="tandem",
+    help="A robot arm, a learning policy and a person, driving together. Start with: ./tandem train peg",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(
+        False, "--version", help="Print the version.", callback=_version, is_eager=True
+    ),
+) -> None:
+    pass
+
+
+app.command("train")(train.train)
+app.command("eval")(evaluate.evaluate)
+app.command("demo")(demo.demo)
+app.command("test", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(test.test)
+app.add_typer(bench.app, name="bench")
+app.command("table")(table.table)
+app.command("doctor")(doctor.doctor)
+app.add_typer(log.app, name="log")
+
+
+def main() -> None:
+    app(prog_name="tandem")

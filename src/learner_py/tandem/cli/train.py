@@ -1,0 +1,72 @@
+"""`tandem train TASK`."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tandem.cli.common import SetOption, same_command, sentences
+
+
+class Clock(StrEnum):
+    lockstep = "lockstep"
+    realtime = "realtime"
+
+
+class Operator(StrEnum):
+    scripted = "scripted"
+    none = "none"
+
+
+def train(
+    task: Annotated[str, typer.Argument(help="Task: a file of config/tasks, e.g. peg.")],
+    method: Annotated[str, typer.Option(help="Method: a file of config/methods.")] = "tandem",
+    seed: Annotated[int, typer.Option(help="Seed of everything random, 0 to 999999.")] = 0,
+    run: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Run folder [default: runs/TASK-METHOD-seedSEED].")
+    ] = None,
+    clock: Annotated[
+        Clock,
+        typer.Option(
+            help="lockstep: simulated time, deterministic, as fast as it goes; realtime: 1 kHz wall clock."
+        ),
+    ] = Clock.lockstep,
+    operator: Annotated[
+        Operator,
+        typer.Option(help="scripted: a stand-in for a person; none: your own program answers WORLD_STATE."),
+    ] = Operator.scripted,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Start anew; the old folder is kept as DIR.old-N.")
+    ] = False,
+    overrides: SetOption = None,
+    lcm_url: Annotated[
+        str | None,
+        typer.Option(
+            help="LCM address of the run [default: LCM_DEFAULT_URL, else a free port on this machine]."
+        ),
+    ] = None,
+) -> None:
+    """Train a policy: demonstrations, training beside the operator, evaluation, curve, video.
+
+    Ends with a table and RUN/summary.json. Ctrl-C stops in good order; the same command goes on where it
+    stopped. How long it trains: --set run.env_steps=N (0.1 s of robot time each, default in config/run.yaml).
+    """
+    from rich.console import Console
+
+    from tandem import run_folder, scenario, supervisor
+
+    with sentences():
+        values = {"mode": "train", "seed": seed, "clock": clock.value}
+        composed = scenario.compose(run_folder.CONFIG, task, method, values, overrides or [])
+        folder = run or run_folder.default_run(task, method, composed.run["seed"])
+        settings = supervisor.Settings(
+            folder=run_folder.RunFolder(folder.absolute()),
+            scenario=composed,
+            resume_command=same_command(),
+            lcm_url=lcm_url,
+            fresh=fresh,
+            operator=operator.value,
+        )
+        code = supervisor.train(settings, Console())
+    raise typer.Exit(code)

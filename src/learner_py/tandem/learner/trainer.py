@@ -1,0 +1,245 @@
+"""The training itself, without processes or messages: episodes in order go in, parameters and policy files come out.
+
+    trainer.ingest(episode)      into the buffer
+    trainer.train(episode, ...)  the updates that this episode pays for
+    trainer.write_policy(path)   what the arm will run
+
+How many updates an episode pays for depends on step counts alone, never on time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from tandem.learner import checkpoint
+from tandem.learner.buffer import ReplayBuffer
+from tandem.learner.checkpoint import Position
+from tandem.learner.config import LearnerScenario
+from tandem.learner.episode import Episode, Floats
+from tandem.learner.method import LearnerState, Method
+from tandem.learner.normalizer import Normalizer
+from tandem.learner.update import make_update
+from tandem.policy_file import PolicyHeader, WrittenFile, write_policy
+
+BLOCK = 64  # updates in one call: short enough that a status follows within a second
+GOLDEN_REAL, GOLDEN_RANDOM = 8, 8
+
+
+@dataclass(frozen=True)
+class Report:
+    """Means over one call of the update (NaN where there is nothing to average)."""
+
+    n_updates: int
+    seconds: float
+    critic_loss: float
+    actor_loss: float
+    win_share: float
+    win_share_human: float
+    win_share_autonomous: float
+
+
+class Trainer:
+    def __init__(self, scenario: LearnerScenario, git_revision: str = "unknown") -> None:
+        self.scenario = scenario
+        self.method = Method(scenario)
+        self.git_revision = git_revision
+        self.position = Position()
+        self.normalizer: Normalizer | None = None
+        self.buffer = ReplayBuffer(scenario.method.learner.buffer_capacity)
+        self.buffer.allocate(
+            len(scenario.task.observation), scenario.method.horizon, len(scenario.task.action_axes)
+        )
+        self.n_demonstrations = 0  # ingested, successful
+        self.training_steps = 0  # ingested, learnable
+        self._demonstrations: list[Floats] = []  # observations, until the normaliser is fitted
+        self._key = jax.random.PRNGKey(scenario.run.seed)
+        self.state: LearnerState = self.method.init(scenario.run.seed)
+        self._update = make_update(self.method)
+        self._compiled_for = 0  # rows allocated
+        self._act = jax.jit(lambda actor, obs, mean, scale: self.method.act(actor, (obs - mean) * scale))
+        if scenario.run.demonstrations == 0:
+            self.normalizer = Normalizer.identity(len(scenario.task.observation))
+
+    @property
+    def updates(self) -> int:
+        return int(self.state.updates)
+
+    # ---- episodes
+
+    def ingest(self, episode: Episode) -> None:
+        """Puts an episode into the buffer; discarded and faulted ones leave no trace."""
+        expected = len(self.scenario.task.observation)
+        if not episode.is_learnable:
+            return
+        if episode.observation.shape[1] != expected:
+            raise ValueError(
+                f"Episode {episode.number} has observations of {episode.observation.shape[1]} numbers; "
+                f"task.observation of the scenario names {expected}."
+            )
+        if episode.is_training and self.n_demonstrations < self.scenario.run.demonstrations:
+            raise ValueError(
+                f"Episode {episode.number} is a training episode, but only {self.n_demonstrations} of "
+                f"{self.scenario.run.demonstrations} demonstrations came before it; the log is incomplete."
+            )
+        windows = self.method.windows(episode)
+        self.buffer.add(windows, self.method.eligible(episode, windows))
+        if episode.is_training:
+            self.training_steps += episode.n_steps
+            return
+        self.n_demonstrations += 1
+        self._demonstrations.append(episode.observation)
+        if self.normalizer is None and self.n_demonstrations == self.scenario.run.demonstrations:
+            floor = self.scenario.method.learner.normalizer_floor
+            self.normalizer = Normalizer.fit(self._demonstrations, floor)
+
+    def is_last_demonstration(self, episode: Episode) -> bool:
+        """After ingest(episode): the warm start is due."""
+        return (
+            episode.is_demonstration
+            and episode.is_learnable
+            and self.n_demonstrations == self.scenario.run.demonstrations
+        )
+
+    def policy_is_due(self, episode: Episode) -> bool:
+        """After ingest(episode): a policy follows it. Discarded training episodes count too."""
+        return episode.is_training or self.is_last_demonstration(episode)
+
+    def updates_due(self, episode: Episode) -> int:
+        """After ingest(episode): gradient updates that it pays for."""
+        learner = self.scenario.method.learner
+        if self.buffer.n_rows == 0:
+            return 0
+        if self.is_last_demonstration(episode):
+            return learner.warm_start_updates
+        if not (episode.is_training and episode.is_learnable):
+            return 0
+        before = self.training_steps - episode.n_steps
+        ratio = learner.updates_per_env_step
+        return int(ratio * self.training_steps) - int(ratio * before)
+
+    def train(self, episode: Episode, after_block: Callable[[Report], bool]) -> bool:
+        """Does the updates that are due and moves the position past the episode.
+
+        after_block(report) is called after each block; when it returns False training stops there, the position says
+        how far it came, and False is returned.
+        """
+        due = self.updates_due(episode)
+        warm_start = self.is_last_demonstration(episode)
+        while self.position.updates_into_next < due:
+            start = self.position.updates_into_next
+            stop = min(start + BLOCK, due)
+            report = self._run(episode.number, start, stop, warm_start)
+            self.position.updates_into_next = stop
+            if not after_block(report) and stop < due:
+                return False
+        self.position.episodes_trained_through = episode.number
+        self.position.updates_into_next = 0
+        self.position.env_steps = max(self.position.env_steps, episode.end.env_steps_total)
+        if self.policy_is_due(episode):
+            self.position.version += 1
+        return True
+
+    def compile(self) -> None:
+        """Compiles the update for the present buffer: a call of zero updates."""
+        if self._compiled_for != self.buffer.allocated:
+            self._run(0, 0, 0, False)
+
+    def _run(self, episode: int, start: int, stop: int, warm_start: bool) -> Report:
+        if self._compiled_for != self.buffer.allocated and stop > 0:
+            self.compile()
+        normalizer = self.normalizer or Normalizer.identity(len(self.scenario.task.observation))
+        began = time.perf_counter()
+        self.state, device_sums = self._update(
+            self.state,
+            self.buffer.arrays,
+            self.buffer.rows,
+            jnp.int32(self.buffer.n_rows),
+            jnp.asarray(normalizer.mean),
+            jnp.asarray(normalizer.scale),
+            jax.random.fold_in(self._key, episode),
+            jnp.int32(start),
+            jnp.int32(stop),
+            jnp.bool_(warm_start),
+        )
+        sums = {name: float(value) for name, value in device_sums.items()}
+        self._compiled_for = self.buffer.allocated
+
+        def share(wins: float, of: float) -> float:
+            return wins / of if of > 0 and self.method.has_critic else float("nan")
+
+        n = stop - start
+        return Report(
+            n_updates=n,
+            seconds=time.perf_counter() - began,
+            critic_loss=sums["critic_loss"] / max(n, 1),
+            actor_loss=sums["actor_loss"] / max(n, 1),
+            win_share=share(sums["human_wins"] + sums["autonomous_wins"], sums["human"] + sums["autonomous"]),
+            win_share_human=share(sums["human_wins"], sums["human"]),
+            win_share_autonomous=share(sums["autonomous_wins"], sums["autonomous"]),
+        )
+
+    # ---- files
+
+    def act(self, observation: Floats) -> Floats:
+        """Raw observations (B, O) -> chunks (B, h, A) of the deployed policy: the very function of the policy file."""
+        assert self.normalizer is not None, "there is no policy before the warm start"
+        return np.asarray(
+            self._act(self.state.actor_average, observation, self.normalizer.mean, self.normalizer.scale)
+        )
+
+    def write_policy(self, path: Path) -> WrittenFile:
+        """Writes the deployed policy (the actor's average) with golden examples."""
+        assert self.normalizer is not None, "there is no policy before the warm start"
+        config = self.scenario.method
+        head = config.learner.head
+        header = PolicyHeader(
+            config={
+                "hidden": list(head.hidden),
+                "activation": head.activation,
+                "layer_norm": head.layer_norm,
+                "horizon": config.horizon,
+                "output": "tanh",
+            },
+            observation=list(self.scenario.task.observation),
+            action=list(self.scenario.task.action_axes),
+            task=self.scenario.task.name,
+            method=config.name,
+            execution=config.execution.model_dump(),
+            discount=config.discount,
+            version=self.position.version,
+            env_steps=self.position.env_steps,
+            updates=self.updates,
+            episodes_trained_through=self.position.episodes_trained_through,
+            git_revision=self.git_revision,
+        )
+        golden = self._golden_observations()
+        layers = [
+            {name: np.asarray(array) for name, array in layer.items()} for layer in self.state.actor_average
+        ]
+        return write_policy(
+            path, header, layers, self.normalizer.mean, self.normalizer.scale, golden, self.act(golden)
+        )
+
+    def _golden_observations(self) -> Floats:
+        """(N, O) raw: some that were really seen, and random ones about twice as far out."""
+        assert self.normalizer is not None
+        generator = np.random.default_rng(self.position.version)
+        noise = generator.normal(size=(GOLDEN_RANDOM, len(self.normalizer.mean)))
+        random = self.normalizer.mean + 2.0 * noise / self.normalizer.scale
+        return np.concatenate([self.buffer.sample_observations(GOLDEN_REAL), random]).astype(np.float32)
+
+    def save(self, path: Path) -> None:
+        checkpoint.save(path, self.state, self.normalizer, self.position, self.scenario.fingerprint())
+
+    def restore(self, path: Path) -> None:
+        """Takes up a checkpoint; the episodes up to its position still have to be ingested."""
+        self.state, self.normalizer, self.position = checkpoint.load(
+            path, self.state, self.scenario.fingerprint()
+        )

@@ -1,0 +1,106 @@
+"""Windows: what a learner may know about step t of an episode, correct by construction.
+
+    chunk[t]    executed actions t .. t+h-1, active axes only, human, robot or mixed
+    valid[t]    which of them exist; the tail is padded by "hold" (zero delta, same gripper). A critic sees the padding,
+                because the robot does hold; imitation masks it, because nobody chose it.
+    G[t]        sum over k < T-t of gamma^k r[t+k]; a time-out earns 0 and nothing is bootstrapped
+
+A window never reaches into another episode, because it is cut out of one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tandem.learner.episode import ACTION_AXES, Bools, Episode, Floats
+
+GRIPPER = ACTION_AXES.index("gripper")
+# float32 on the wire against double here; a wrong discount or a shifted reward is off by far more
+RETURN_TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class Windows:
+    """One row a step of the episode; T steps, O observations, A active axes, horizon h."""
+
+    observation: Floats  # (T, O) raw
+    chunk: Floats  # (T, h, A) in [-1, 1]
+    valid: Bools  # (T, h)
+    human: Bools  # (T, h) valid and chosen by a human: engaged, or a demonstration
+    mc_return: Floats  # (T,) G, with the cut when it is asked for
+    next_observation: Floats  # (T, O) raw, after the last valid step of the window
+    terminated: Bools  # (T,) the window's last valid step ended the episode by success or failure
+    truncated: Bools  # (T,) ... by time-out: a TD method bootstraps through it
+
+
+def make_windows(
+    episode: Episode, columns: Sequence[int], horizon: int, discount: float, cut_return_at_intervention: bool
+) -> Windows:
+    """Cuts a learnable episode into windows. `columns`: the active axes among the 7 numbers of an action.
+
+    cut_return_at_intervention: autonomous steps that a human takeover follows later in the episode earn G = 0 (the
+    rescue counts as failure of what came before); human steps, and autonomous ones after the last takeover, keep G.
+    """
+    if not episode.is_learnable:
+        raise ValueError(
+            f"Episode {episode.number} ({episode.phase}) ended by {episode.outcome}; it must not reach the learner."
+        )
+    length = episode.n_steps
+    index = np.arange(length)[:, None] + np.arange(horizon)[None, :]  # (T, h) step of each action
+    valid = index < length
+    last = np.minimum(index, length - 1)
+
+    executed = episode.executed_action[last]  # (T, h, 7)
+    hold = np.zeros(7, np.float32)
+    hold[GRIPPER] = episode.executed_action[-1, GRIPPER]
+    chunk = np.where(valid[:, :, None], executed, hold)[:, :, list(columns)]
+
+    by_human = np.ones(length, bool) if episode.is_demonstration else episode.intervention
+    returns = discounted_returns(episode.reward, discount)
+    _check_returns(episode, returns, discount)
+    if cut_return_at_intervention:
+        returns = np.where(~by_human & followed_by_intervention(by_human), 0.0, returns)
+
+    window_end = last[:, -1]
+    return Windows(
+        observation=episode.observation,
+        chunk=chunk.astype(np.float32),
+        valid=valid,
+        human=valid & by_human[last],
+        mc_return=returns.astype(np.float32),
+        next_observation=episode.next_observation[window_end],
+        terminated=episode.terminated[window_end],
+        truncated=episode.truncated[window_end],
+    )
+
+
+def discounted_returns(reward: Floats, discount: float) -> np.ndarray:
+    """G (T,) in double: G[t] = r[t] + gamma G[t+1], nothing after the end."""
+    returns = np.zeros(len(reward), np.float64)
+    running = 0.0
+    for step in range(len(reward) - 1, -1, -1):
+        running = float(reward[step]) + discount * running
+        returns[step] = running
+    return returns
+
+
+def followed_by_intervention(by_human: Bools) -> Bools:
+    """(T,) True where a later step of the same episode is a human's."""
+    later = np.zeros(len(by_human), bool)
+    later[:-1] = np.maximum.accumulate(by_human[::-1])[::-1][1:]
+    return later
+
+
+def _check_returns(episode: Episode, returns: np.ndarray, discount: float) -> None:
+    """The controller computed the same numbers; a difference means that it runs another scenario."""
+    error = np.abs(returns - episode.discounted_return)
+    step = int(np.argmax(error))
+    if not error[step] <= RETURN_TOLERANCE:
+        raise ValueError(
+            f"Episode {episode.number}, step {step}: discounted_return is {episode.discounted_return[step]:.6g} "
+            f"on the wire but {returns[step]:.6g} recomputed with discount {discount}; "
+            f"they may differ by {RETURN_TOLERANCE}. Controller and learner must run the same scenario."
+        )

@@ -1,0 +1,203 @@
+"""The policy file: an actor with its normaliser and golden examples in one safetensors file (float32, little endian).
+
+Tensors   actor.layers.{i}.weight (out, in), .bias (out), hidden layers optionally .norm_scale / .norm_offset (out);
+          normalizer.mean / .scale (O), x = (obs - mean) * scale; golden.observation (N, O) raw, golden.chunk (N, h, A).
+Network   x -> hidden layers (dense, optional LayerNorm, activation) -> dense (h A) -> tanh -> reshape (h, A).
+Metadata  strings; see `PolicyHeader`.
+
+Files are written whole (temporary file, fsync, rename) and byte for byte the same for the same policy.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORMAT = "tandem-policy-1"
+Array = NDArray[Any]
+
+_DTYPES = {"F32": np.dtype("<f4"), "I32": np.dtype("<i4"), "U32": np.dtype("<u4")}
+_NAMES = {dtype: name for name, dtype in _DTYPES.items()}
+_MAX_HEADER_BYTES = 16 << 20
+
+
+class PolicyFileError(Exception):
+    """A sentence: which file, what is wrong with it."""
+
+
+@dataclass(frozen=True)
+class PolicyHeader:
+    """The facts in a policy file's metadata."""
+
+    config: dict[str, Any]  # hidden, activation, layer_norm, horizon, output
+    observation: list[str]  # names, in order
+    action: list[str]  # active axes, in wire order
+    task: str
+    method: str
+    execution: dict[str, Any]  # method.execution of the scenario
+    discount: float
+    version: int
+    env_steps: int  # training steps when it was written
+    updates: int  # gradient updates, warm start included
+    episodes_trained_through: int
+    git_revision: str
+    architecture: str = "mlp"
+
+    def to_metadata(self) -> dict[str, str]:
+        texts = {"format": FORMAT}
+        for name, value in vars(self).items():
+            texts[name] = json.dumps(value) if isinstance(value, dict | list) else str(value)
+        return texts
+
+    @staticmethod
+    def from_metadata(texts: Mapping[str, str]) -> PolicyHeader:
+        """Raises KeyError or ValueError when the metadata is not that of a policy file."""
+        if texts["format"] != FORMAT:
+            raise ValueError(f"its format is {texts['format']!r}, not {FORMAT!r}")
+        return PolicyHeader(
+            config=json.loads(texts["config"]),
+            observation=json.loads(texts["observation"]),
+            action=json.loads(texts["action"]),
+            task=texts["task"],
+            method=texts["method"],
+            execution=json.loads(texts["execution"]),
+            discount=float(texts["discount"]),
+            version=int(texts["version"]),
+            env_steps=int(texts["env_steps"]),
+            updates=int(texts["updates"]),
+            episodes_trained_through=int(texts["episodes_trained_through"]),
+            git_revision=texts["git_revision"],
+            architecture=texts["architecture"],
+        )
+
+
+@dataclass(frozen=True)
+class WrittenFile:
+    """What POLICY_ANNOUNCE says about a file."""
+
+    path: Path
+    n_bytes: int
+    sha256: str
+
+
+def write_policy(
+    path: Path,
+    header: PolicyHeader,
+    layers: Sequence[Mapping[str, Array]],
+    mean: Array,
+    scale: Array,
+    golden_observation: Array,
+    golden_chunk: Array,
+) -> WrittenFile:
+    """layers: in order, the last one is the output; keys weight (out, in), bias, optionally norm_scale, norm_offset.
+    Raises PolicyFileError rather than writing a number that is not finite: such a policy must not reach the arm."""
+    tensors: dict[str, Array] = {
+        f"actor.layers.{index}.{name}": array
+        for index, layer in enumerate(layers)
+        for name, array in layer.items()
+    }
+    tensors |= {"normalizer.mean": mean, "normalizer.scale": scale}
+    tensors |= {"golden.observation": golden_observation, "golden.chunk": golden_chunk}
+    for name, array in tensors.items():
+        if not np.isfinite(array).all():
+            raise PolicyFileError(
+                f"{path}: {name} holds a number that is not finite; the training has diverged."
+            )
+        tensors[name] = np.asarray(array, np.float32)
+    return write_file(path, encode_safetensors(tensors, header.to_metadata()))
+
+
+def read_header(path: Path) -> PolicyHeader:
+    """The metadata alone; reads a few kilobytes. Raises PolicyFileError."""
+    _, texts, _ = _read_head(path)
+    try:
+        return PolicyHeader.from_metadata(texts)
+    except (KeyError, ValueError, TypeError) as error:
+        raise PolicyFileError(f"{path} is not a policy file: {error}.") from None
+
+
+def describe(path: Path) -> WrittenFile:
+    """Size and digest of a file that was written earlier."""
+    data = path.read_bytes()
+    return WrittenFile(path, len(data), hashlib.sha256(data).hexdigest())
+
+
+# ---- safetensors, and files that are whole or not there
+
+
+def encode_safetensors(tensors: Mapping[str, Array], metadata: Mapping[str, str]) -> bytes:
+    """Tensors sorted by name, without holes. Written here because the library does not keep the metadata's order, and
+    the same policy must give the same bytes."""
+    header: dict[str, Any] = {"__metadata__": dict(sorted(metadata.items()))}
+    parts: list[bytes] = []
+    offset = 0
+    for name, array in sorted(tensors.items()):
+        array = np.asarray(array)
+        data = array.tobytes()  # C order; this machine is little endian like the format
+        header[name] = {
+            "dtype": _NAMES[array.dtype],
+            "shape": list(array.shape),
+            "data_offsets": [offset, offset + len(data)],
+        }
+        parts.append(data)
+        offset += len(data)
+    text = json.dumps(header, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 8)  # the data begins aligned
+    return struct.pack("<Q", len(text)) + text + b"".join(parts)
+
+
+def read_safetensors(path: Path) -> tuple[dict[str, Array], dict[str, str]]:
+    """All tensors and the metadata. Raises PolicyFileError."""
+    entries, texts, start = _read_head(path)
+    data = path.read_bytes()[start:]
+    tensors = {}
+    try:
+        for name, entry in entries.items():
+            begin, end = entry["data_offsets"]
+            tensors[name] = (
+                np.frombuffer(data[begin:end], _DTYPES[entry["dtype"]]).reshape(entry["shape"]).copy()
+            )
+    except (KeyError, ValueError, TypeError) as error:
+        raise PolicyFileError(f"{path} is damaged: {error}.") from None
+    return tensors, texts
+
+
+def _read_head(path: Path) -> tuple[dict[str, Any], dict[str, str], int]:
+    """Tensor entries, metadata, and where the data begins."""
+    try:
+        with path.open("rb") as file:
+            (length,) = struct.unpack("<Q", file.read(8))
+            if length > _MAX_HEADER_BYTES:
+                raise ValueError(f"its header of {length} bytes would be longer than {_MAX_HEADER_BYTES}")
+            entries = json.loads(file.read(length))
+        return entries, entries.pop("__metadata__", {}), 8 + length
+    except OSError as error:
+        raise PolicyFileError(f"{path} can't be read ({error.strerror}).") from None
+    except (ValueError, AttributeError, struct.error) as error:
+        raise PolicyFileError(f"{path} is not a safetensors file: {error}.") from None
+
+
+def write_file(path: Path, data: bytes) -> WrittenFile:
+    """Temporary file in the same folder, fsync, rename, fsync of the folder: readers see the old or the new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.part")
+    with partial.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    partial.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+    return WrittenFile(path, len(data), hashlib.sha256(data).hexdigest())

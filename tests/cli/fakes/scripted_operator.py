@@ -1,0 +1,13 @@
+"""Stand-in for tandem_operator: is there until asked to go."""
+
+import os
+import signal
+import sys
+import time
+
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+while os.environ.get("FAKE_OPERATOR") != "die":
+    time.sleep(0.05)
+time.sleep(0.3)
+print("the operator has had enough", flush=True)
+sys.exit(7)

@@ -1,0 +1,93 @@
+#include "intervention/scripted_operator.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+namespace tandem {
+namespace {
+
+OperatorRules rules() {
+  return read_rules(Section::load(std::string(TANDEM_ROOT) + "/config/operator.yaml"));
+}
+
+/// The tip of the peg at `tip` above a hole at the origin, both upright.
+world_state_t world_at(const Eigen::Vector3d& tip, int step, int8_t phase) {
+  world_state_t w{};
+  w.episode = 3;
+  w.episode_seed = 99;
+  w.step = step;
+  w.tick = 100 * step;
+  w.max_steps = 1000;
+  w.phase = phase;
+  w.q_WG[0] = 1.0;
+  w.q_WO[1] = w.q_WE[1] = w.q_WE_commanded[1] = 1.0;  // turned about x: pointing down
+  for (int i = 0; i < 3; ++i) w.p_WO[i] = w.p_WE[i] = w.p_WE_commanded[i] = tip[i];
+  for (int i = 0; i < 6; ++i) w.action_limit[i] = i < 3 ? 0.012 : i == 5 ? 0.1 : 0.0;
+  return w;
+}
+
+TEST(ScriptedOperator, RepeatedWorldGetsTheSameAnswer) {
+  ScriptedOperator person(rules());
+  const world_state_t world = world_at({0.03, 0.0, 0.05}, 0, world_state_t::DEMONSTRATION);
+  const teleop_command_t first = person.answer(world), again = person.answer(world);
+  for (int i = 0; i < 6; ++i) EXPECT_EQ(first.device_twist[i], again.device_twist[i]);
+  EXPECT_EQ(again.tick_answered, world.tick);
+}
+
+TEST(ScriptedOperator, DemonstratesTowardsTheHoleAndLeavesMaskedAxesAlone) {
+  ScriptedOperator person(rules());
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (int step = 0; step < 30; ++step) {
+    const teleop_command_t command = person.answer(world_at({0.03, -0.02, 0.05}, step, world_state_t::DEMONSTRATION));
+    EXPECT_EQ(command.engaged, 1);
+    EXPECT_EQ(command.device_twist[3], 0.0);
+    sum += Eigen::Vector3d::Map(command.device_twist);
+  }
+  EXPECT_LT(sum.x(), -5.0);
+  EXPECT_GT(sum.y(), 3.0);
+  EXPECT_LT(sum.z(), -5.0);
+}
+
+TEST(ScriptedOperator, KeepsOffInEvaluation) {
+  ScriptedOperator person(rules());
+  for (int step = 0; step < 200; ++step) {
+    EXPECT_EQ(person.answer(world_at({0.03, 0.0, 0.05}, step, world_state_t::EVALUATION)).engaged, 0);
+  }
+}
+
+TEST(ScriptedOperator, TakesOverWithoutProgressAndLetsGoAfterRecovery) {
+  const OperatorRules r = rules();
+  ScriptedOperator person(r);
+  int taken_at = -1;
+  for (int step = 0; step < 60 && taken_at < 0; ++step) {
+    if (person.answer(world_at({0.05, 0.0, 0.05}, step, world_state_t::TRAINING)).engaged) taken_at = step;
+  }
+  EXPECT_GT(taken_at, r.no_progress_steps);
+  EXPECT_LE(taken_at, r.no_progress_steps + r.reaction_steps_high + 3);
+  int kept = 0;
+  for (int step = taken_at + 1; step < taken_at + 60; ++step) {
+    // He brings it half way.
+    const double x = std::max(0.005, 0.05 - 0.004 * (step - taken_at));
+    if (!person.answer(world_at({x, 0.0, x}, step, world_state_t::TRAINING)).engaged) break;
+    ++kept;
+  }
+  EXPECT_GE(kept, r.hold_steps - 1);
+  EXPECT_LT(kept, 30);
+}
+
+TEST(ScriptedOperator, TakesOverWhenTheArmPressesTooHard) {
+  const OperatorRules r = rules();
+  ScriptedOperator person(r);
+  bool engaged = false;
+  for (int step = 0; step < 15; ++step) {
+    // Steady progress, so that only the force is a reason.
+    world_state_t world = world_at({0.0, 0.0, 0.05 - 0.002 * step}, step, world_state_t::TRAINING);
+    world.F_ext_W[2] = r.force + 5.0;
+    engaged |= person.answer(world).engaged == 1;
+  }
+  EXPECT_TRUE(engaged);
+}
+
+}  // namespace
+}  // namespace tandem

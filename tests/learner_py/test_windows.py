@@ -1,0 +1,112 @@
+"""What a window may know: tails, returns, truncation, interventions, masks, and episodes that must not enter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import support
+from tandem_lcm.tandem.episode_end_t import episode_end_t
+
+from tandem.learner.windows import make_windows
+
+ALL_AXES = range(7)
+
+
+def windows(episode, columns=ALL_AXES, horizon=3, discount=0.9, cut=False):
+    return make_windows(episode, columns, horizon, discount, cut)
+
+
+def test_chunk_is_the_executed_actions_from_t_on():
+    actions = np.arange(5 * 7).reshape(5, 7) / 100
+    result = windows(support.episode(0, executed=actions))
+    np.testing.assert_allclose(result.chunk[1], actions[1:4], atol=1e-7)
+    assert result.chunk.shape == (5, 3, 7) and result.valid[:3].all()
+
+
+def test_tail_is_kept_and_padded_by_hold_with_the_same_gripper():
+    actions = np.full((4, 7), 0.25)
+    actions[-1, 6] = 1.0
+    result = windows(support.episode(0, executed=actions))
+    assert len(result.chunk) == 4
+    np.testing.assert_array_equal(result.chunk[3, 1:], [[0, 0, 0, 0, 0, 0, 1]] * 2)
+    np.testing.assert_array_equal(result.valid, [[1, 1, 1], [1, 1, 1], [1, 1, 0], [1, 0, 0]])
+
+
+def test_masked_axes_are_dropped_in_wire_order():
+    actions = np.tile(np.arange(7) / 10, (4, 1))
+    result = windows(support.episode(0, executed=actions), columns=[0, 5, 6])
+    np.testing.assert_allclose(result.chunk[0, 0], [0.0, 0.5, 0.6], atol=1e-7)
+    np.testing.assert_allclose(result.chunk[3, 2], [0.0, 0.0, 0.6], atol=1e-7)
+
+
+def test_return_counts_discounted_steps_to_success():
+    np.testing.assert_allclose(
+        windows(support.episode(0, n_steps=4)).mc_return, [0.729, 0.81, 0.9, 1.0], rtol=1e-6
+    )
+
+
+def test_time_out_earns_nothing_and_is_truncated_not_terminated():
+    result = windows(support.episode(0, n_steps=4, outcome=episode_end_t.TIMEOUT))
+    assert not result.mc_return.any() and not result.terminated.any()
+    np.testing.assert_array_equal(result.truncated, [0, 1, 1, 1])  # by window, horizon 3
+
+
+def test_success_is_terminated_not_truncated():
+    result = windows(support.episode(0, n_steps=4), horizon=1)
+    np.testing.assert_array_equal(result.terminated, [0, 0, 0, 1])
+    assert not result.truncated.any()
+
+
+def test_failure_label_terminates_and_earns_nothing():
+    result = windows(support.episode(0, n_steps=3, outcome=episode_end_t.FAILURE), horizon=1)
+    assert result.terminated[-1] and not result.mc_return.any()
+
+
+def test_next_observation_follows_the_window_and_never_leaves_the_episode():
+    result = windows(support.episode(7, n_steps=5), horizon=3)
+    np.testing.assert_array_equal(result.next_observation[:, 1], [3, 4, 5, 5, 5])
+    np.testing.assert_array_equal(result.next_observation[:, 0], [7] * 5)
+
+
+def test_return_that_differs_from_the_wire_is_refused_with_a_sentence():
+    with pytest.raises(ValueError, match=r"Episode 4, step 0: discounted_return is .* discount 0\.99"):
+        windows(support.episode(4, n_steps=5, discount=0.9), discount=0.99)
+
+
+def test_cut_zeroes_autonomous_steps_before_the_last_takeover_only():
+    episode = support.episode(0, n_steps=7, intervention=[0, 1, 0, 0, 1, 0, 0])
+    whole, cut = windows(episode, horizon=1), windows(episode, horizon=1, cut=True)
+    np.testing.assert_array_equal(cut.mc_return[[0, 2, 3]], 0)
+    np.testing.assert_array_equal(cut.mc_return[[1, 4, 5, 6]], whole.mc_return[[1, 4, 5, 6]])
+    np.testing.assert_array_equal(cut.human[:, 0], [0, 1, 0, 0, 1, 0, 0])
+
+
+def test_cut_leaves_episodes_without_a_human_and_demonstrations_alone():
+    alone = support.episode(0, n_steps=4)
+    np.testing.assert_array_equal(windows(alone, cut=True).mc_return, windows(alone).mc_return)
+    # a person may pause in a demonstration: it is his all the same
+    shown = support.demonstration(0, n_steps=4, intervention=[0, 1, 0, 1])
+    assert (windows(shown, cut=True).mc_return > 0).all() and windows(shown).human[:, 0].all()
+
+
+def test_human_mask_follows_the_steps_of_the_window_and_excludes_padding():
+    result = windows(support.episode(0, n_steps=4, intervention=[0, 1, 1, 1]))
+    np.testing.assert_array_equal(result.human, [[0, 1, 1], [1, 1, 1], [1, 1, 0], [1, 0, 0]])
+
+
+@pytest.mark.parametrize("outcome", [episode_end_t.FAULT, episode_end_t.DISCARD])
+def test_faulted_and_discarded_episodes_never_enter(outcome):
+    with pytest.raises(ValueError, match="must not reach the learner"):
+        windows(support.episode(0, outcome=outcome))
+    with pytest.raises(ValueError):
+        windows(support.demonstration(0, outcome=outcome))
+
+
+def test_failed_demonstrations_never_enter():
+    assert not support.demonstration(0, outcome=episode_end_t.TIMEOUT).is_learnable
+
+
+def test_learning_uses_what_was_executed_not_what_was_asked():
+    result = windows(support.episode(0, n_steps=3))
+    assert result.chunk.min() >= 0.0  # human asked -0.5, policy 0.5
+    assert result.chunk.max() < 0.1
