@@ -84,12 +84,12 @@ def test_result_does_not_depend_on_how_updates_are_grouped_into_calls(monkeypatc
 
 def test_deployed_policy_is_the_moving_average_of_the_actor(monkeypatch, tmp_path):
     monkeypatch.setattr("tandem.learner.trainer.BLOCK", 1)
-    trainer = Trainer(support.scenario(ema=0.5))
+    trainer = Trainer(support.scenario())
     average = np.asarray(trainer.state.actor_average[0]["weight"])
 
     def follow(report):
         nonlocal average
-        decay = min(0.5, trainer.updates / (9 + trainer.updates))  # (1 + n) / (10 + n) after n updates
+        decay = min(0.998, trainer.updates / (9 + trainer.updates))  # (1 + n) / (10 + n) after n updates
         average = decay * average + (1 - decay) * np.asarray(trainer.state.actor[0]["weight"])
         return True
 

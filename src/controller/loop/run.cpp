@@ -223,15 +223,17 @@ Outcome Run::run_steps(const EpisodeBegin& begin) {
     intervened_ |= loop_.end_step().intervention;
     ++n_steps_;
 
-    if (robot_.state().fault != Fault::none || loop_.not_finite_count() > 0) return Outcome::fault;
+    if (robot_.state().fault != Fault::none || loop_.not_finite_count() > 0) {
+      outcome = Outcome::fault;
+      break;
+    }
     if (task_.succeeded(task_.truth(robot_.simulation()))) {
       outcome = Outcome::success;
       break;
     }
     const int8_t label = loop_.human().label;
-    if (label == teleop_command_t::LABEL_DISCARD) return Outcome::discard;
-    if (label == teleop_command_t::LABEL_FAIL) {
-      outcome = Outcome::failure;
+    if (label == teleop_command_t::LABEL_DISCARD || label == teleop_command_t::LABEL_FAIL) {
+      outcome = label == teleop_command_t::LABEL_FAIL ? Outcome::failure : Outcome::discard;
       break;
     }
     relieve_recorder();

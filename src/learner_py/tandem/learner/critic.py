@@ -1,7 +1,7 @@
 """The MC Q-chunk critic: values of chunks, regressed onto the returns that were really earned.
 
 No bootstrap and no target network: Q estimates the behaviour that filled the buffer, humans included, so a rescue
-raises the value of the human's actions directly (paper, section III-B).
+raises the value of the human's actions directly.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Networks: one MLP, used as the actor and, M times side by side, as the critic ensemble.
 
 Activations are features first, (F, B): LayerNorm then sums over the leading axis, which the CPU vectorises over the
-batch (measured: a fifth of the critic's time). Weights are (out, in) as in the policy file.
+batch (one critic step took 3.9 ms so, 4.9 ms batch first, on a busy machine).
+Weights are (out, in) as in the policy file.
 LayerNorm acts on the pre-activation, y = act(LN(W x + b)), eps 1e-6, biased variance.
 """
 

@@ -1,0 +1,109 @@
+#include "controller/link/link.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <thread>
+
+namespace tandem {
+namespace {
+
+using std::chrono::milliseconds;
+
+/// A network of its own per process, on loopback.
+std::string url() { return "udpm://239.255.76.67:" + std::to_string(20'000 + getpid() % 20'000) + "?ttl=0"; }
+
+bool eventually(const std::function<bool()>& condition) {
+  for (int i = 0; i < 300; ++i) {
+    if (condition()) return true;
+    std::this_thread::sleep_for(milliseconds(10));
+  }
+  return false;
+}
+
+class LinkTest : public ::testing::Test {
+ protected:
+  Link::Settings settings_{.url = url(), .learner = true};
+  TaskSpec task_;
+  StatusBoard board_;
+  lcm::LCM peer_{url()};
+};
+
+TEST_F(LinkTest, SecondControllerIsRefusedWithASentence) {
+  board_.state = controller_status_t::RUNNING;
+  Link first(settings_, task_, board_);
+  first.start();
+  StatusBoard other;
+  try {
+    Link second(settings_, task_, other);
+    FAIL() << "two controllers on one network";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find("another controller is at work"), std::string::npos);
+  }
+}
+
+TEST_F(LinkTest, MalformedAndNonFiniteTeleopIsCountedAndNeverReachesTheLoop) {
+  Link link(settings_, task_, board_);
+  link.start();
+  teleop_command_t bad{};
+  bad.device_twist[2] = std::nan("");
+  peer_.publish("TELEOP_COMMAND", &bad);
+  const uint8_t rubbish[] = {1, 2, 3};
+  peer_.publish("TELEOP_COMMAND", rubbish, sizeof(rubbish));
+  EXPECT_TRUE(eventually([&] { return board_.teleop_rejected == 2; })) << board_.teleop_rejected;
+  EXPECT_EQ(link.human_commands().size(), 0u);
+
+  teleop_command_t good{};
+  good.engaged = 1;
+  peer_.publish("TELEOP_COMMAND", &good);
+  EXPECT_TRUE(eventually([&] { return link.human_commands().size() == 1; }));
+  EXPECT_EQ(board_.teleop_accepted, 1);
+}
+
+TEST_F(LinkTest, EpisodeIsSentUntilAcknowledgedAndAgainOnRequest) {
+  Link link(settings_, task_, board_);
+  std::atomic<int> ends{0}, steps{0};
+  peer_.subscribe<episode_end_t>("EPISODE_END", [&](const lcm::ReceiveBuffer*, const std::string&,
+                                                    const episode_end_t*) { ++ends; });
+  const std::function<void(const lcm::ReceiveBuffer*, const std::string&)> count_step =
+      [&](const lcm::ReceiveBuffer*, const std::string&) { ++steps; };
+  peer_.subscribe("EPISODE_STEP", count_step);
+  std::atomic<bool> done{false};
+  std::thread listener([&] {
+    while (!done) peer_.handleTimeout(20);
+  });
+  link.start();
+  auto episode = std::make_shared<FinishedEpisode>();
+  episode->end.episode = 7;
+  episode->steps = {{1, 2, 3}, {4, 5, 6}};
+  link.send(episode);
+  EXPECT_TRUE(eventually([&] { return ends >= 2; }));  // nobody answers: sent again
+  EXPECT_EQ(board_.episodes_unacknowledged, 1);
+
+  const int before = steps;
+  episode_request_t request{};
+  request.episode_requested = 7;
+  request.n_missing = 1;
+  request.missing_steps = {1};
+  peer_.publish("EPISODE_REQUEST", &request);
+  EXPECT_TRUE(eventually([&] { return steps > before; }));
+
+  episode_ack_t ack{};
+  ack.episode_acknowledged = 7;
+  peer_.publish("EPISODE_ACK", &ack);
+  EXPECT_TRUE(eventually([&] { return board_.episodes_unacknowledged == 0; }));
+  done = true;
+  listener.join();
+}
+
+TEST_F(LinkTest, EmergencyStopIsHeardFromAnyone) {
+  Link link(settings_, task_, board_);
+  link.start();
+  controller_command_t order{};
+  order.order = controller_command_t::ESTOP;
+  peer_.publish("CONTROLLER_COMMAND", &order);
+  EXPECT_TRUE(eventually([&] { return board_.estop && board_.stop; }));
+}
+
+}  // namespace
+}  // namespace tandem

@@ -1,0 +1,126 @@
+"""The whole of Tandem with its real programs: train, watch, stop, kill, go on. Small budgets, nothing faked."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from tandem.cli.log import first_difference
+
+ROOT = Path(__file__).parents[2]
+SMALL = {
+    "run.demonstrations": 3,
+    "run.env_steps": 150,
+    "run.evaluation_every": 100,
+    "run.evaluation_episodes": 2,
+    "run.fresh_episodes": 2,
+    "method.learner.warm_start_updates": 20,
+    "method.learner.updates_per_env_step": 1,
+}
+
+
+def command(run: Path, *options: str, **overrides: object) -> list[str]:
+    values = {**SMALL, **overrides}
+    sets = [word for key, value in values.items() for word in ("--set", f"{key}={value}")]
+    return [sys.executable, "-m", "tandem", "train", "peg", "--run", str(run), "--seed", "5", *sets, *options]
+
+
+def train(run: Path, *options: str, **overrides: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        command(run, *options, **overrides), capture_output=True, text=True, timeout=240, cwd=ROOT
+    )
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run from nothing to its summary."""
+    run = tmp_path_factory.mktemp("full_loop") / "reference"
+    done = train(run)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return run
+
+
+@pytest.fixture
+def busy_machine() -> Iterator[None]:
+    """Two processes that take all that they can get."""
+    burn = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    yield
+    for process in burn:
+        process.kill()
+        process.wait()
+
+
+def test_train_leaves_everything_that_a_user_needs(reference: Path) -> None:
+    for name in ("scenario.yaml", "log.lcm", "policy.safetensors", "summary.json", "curve.png"):
+        assert (reference / name).stat().st_size > 0, name
+    summary = json.loads((reference / "summary.json").read_text())
+    assert summary["env_steps"] >= 150
+    assert summary["fresh"]["last"]["episodes"] == 2
+    assert summary["operator"]["success"] >= 0.9
+    assert 0 <= summary["interventions"]["share"] <= 1
+
+
+def test_log_does_not_depend_on_the_machines_load(reference: Path, tmp_path: Path, busy_machine: None) -> None:
+    done = train(tmp_path / "busy")
+    assert done.returncode == 0, done.stderr[-3000:]
+    events, difference = first_difference(reference / "log.lcm", tmp_path / "busy" / "log.lcm", ".*")
+    assert difference is None, difference
+    assert events > 1000
+    assert (reference / "policy.safetensors").read_bytes() == (
+        tmp_path / "busy" / "policy.safetensors"
+    ).read_bytes()
+
+
+def test_killed_controller_loses_at_most_the_running_episode(reference: Path, tmp_path: Path) -> None:
+    run = tmp_path / "killed"
+    process = subprocess.Popen(
+        command(run), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
+    )
+    # Kill the controller as soon as a training episode is in its log.
+    deadline = time.monotonic() + 180
+    while not _controller_of(run) or b"EPISODE_END" not in _bytes(run / "log.lcm"):
+        assert process.poll() is None and time.monotonic() < deadline, "the run ended before it could be killed"
+        time.sleep(0.05)
+    os.kill(_controller_of(run)[0], signal.SIGKILL)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode not in (0, None)
+    assert "controller" in output
+    done = train(run)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
+    # EPISODE_END carries the digest of its steps: equal ends are equal episodes.
+    _, difference = first_difference(reference / "log.lcm", run / "log.lcm", "EPISODE_END|EPISODE_STEP")
+    assert difference is None, difference
+
+
+def test_realtime_runs_on_the_wall_clock_and_counts_overruns(tmp_path: Path) -> None:
+    run = tmp_path / "realtime"
+    done = train(run, "--clock", "realtime", **{"run.demonstrations": 1, "run.env_steps": 20})
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
+    result = json.loads((run / "controller.json").read_text())
+    assert result["ticks"] >= 2000
+    assert result["overruns"] >= 0
+    assert result["records_dropped"] == 0
+    # One tick a millisecond, less what it waited between episodes.
+    assert result["wall_s"] >= 0.9e-3 * result["ticks"]
+
+
+def _bytes(path: Path) -> bytes:
+    return path.read_bytes() if path.exists() else b""
+
+
+def _controller_of(run: Path) -> list[int]:
+    """Process ids of the controller that writes into `run`."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if words[0].endswith(b"tandem_controller") and any(str(run).encode() in word for word in words):
+            found.append(int(entry.parent.name))
+    return found
