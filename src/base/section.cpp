@@ -52,10 +52,11 @@ Section Section::load(const std::string& path) {
   try {
     root = YAML::LoadFile(path);
   } catch (const YAML::BadFile&) {
-    throw ScenarioError(path + ": the scenario can't be read; check that the file exists and is readable.");
+    throw ScenarioError(
+        path + ": the scenario can't be read; check that the file exists and is readable.");
   } catch (const YAML::Exception& error) {
-    throw ScenarioError(path + ":" + std::to_string(error.mark.line + 1) + ": this is not valid YAML (" + error.msg +
-                        ").");
+    throw ScenarioError(path + ":" + std::to_string(error.mark.line + 1) +
+                        ": this is not valid YAML (" + error.msg + ").");
   }
   if (!root.IsMap()) throw ScenarioError(path + ":1: a scenario must be a mapping of sections.");
   return Section(root, path, "");
@@ -73,7 +74,8 @@ YAML::Node Section::find(const std::string& key) {
   known_.push_back(key);
   const YAML::Node& view = node_;
   const YAML::Node value = view[key];
-  if (!value || value.IsNull()) throw ScenarioError(place(key) + " is missing; the files in config/ show its default.");
+  if (!value || value.IsNull())
+    throw ScenarioError(place(key) + " is missing; the files in config/ show its default.");
   return value;
 }
 
@@ -89,10 +91,12 @@ double Section::number(const std::string& key, double low, double high) {
   try {
     value = node.as<double>();
   } catch (const YAML::Exception&) {
-    throw ScenarioError(place(key) + " is not a number; it must be in [" + show(low) + ", " + show(high) + "].");
+    throw ScenarioError(place(key) + " is not a number; it must be in [" + show(low) + ", " +
+                        show(high) + "].");
   }
   if (!(value >= low && value <= high)) {
-    throw ScenarioError(place(key) + " is " + show(value) + "; it must be in [" + show(low) + ", " + show(high) + "].");
+    throw ScenarioError(place(key) + " is " + show(value) + "; it must be in [" + show(low) + ", " +
+                        show(high) + "].");
   }
   return value;
 }
@@ -103,12 +107,12 @@ int64_t Section::integer(const std::string& key, int64_t low, int64_t high) {
   try {
     value = node.as<int64_t>();
   } catch (const YAML::Exception&) {
-    throw ScenarioError(place(key) + " is not a whole number; it must be in [" + std::to_string(low) + ", " +
-                        std::to_string(high) + "].");
+    throw ScenarioError(place(key) + " is not a whole number; it must be in [" +
+                        std::to_string(low) + ", " + std::to_string(high) + "].");
   }
   if (value < low || value > high) {
-    throw ScenarioError(place(key) + " is " + std::to_string(value) + "; it must be in [" + std::to_string(low) + ", " +
-                        std::to_string(high) + "].");
+    throw ScenarioError(place(key) + " is " + std::to_string(value) + "; it must be in [" +
+                        std::to_string(low) + ", " + std::to_string(high) + "].");
   }
   return value;
 }
@@ -133,14 +137,15 @@ std::string Section::choice(const std::string& key, const std::vector<std::strin
   if (std::find(allowed.begin(), allowed.end(), value) != allowed.end()) return value;
   std::string list;
   for (const std::string& name : allowed) list += (list.empty() ? "" : ", ") + name;
-  throw ScenarioError(place(key) + " is '" + value + "'; it must be one of " + list + ". Did you mean '" +
-                      nearest_name(value, allowed) + "'?");
+  throw ScenarioError(place(key) + " is '" + value + "'; it must be one of " + list +
+                      ". Did you mean '" + nearest_name(value, allowed) + "'?");
 }
 
-std::vector<double> Section::numbers(const std::string& key, size_t count, double low, double high) {
+std::vector<double> Section::numbers(const std::string& key, size_t count, double low,
+                                     double high) {
   const YAML::Node node = find(key);
-  const std::string need = " must be a list of " + std::to_string(count) + " numbers in [" + show(low) + ", " +
-                           show(high) + "].";
+  const std::string need = " must be a list of " + std::to_string(count) + " numbers in [" +
+                           show(low) + ", " + show(high) + "].";
   std::vector<double> values;
   try {
     values = node.as<std::vector<double>>();
@@ -148,10 +153,12 @@ std::vector<double> Section::numbers(const std::string& key, size_t count, doubl
     throw ScenarioError(place(key) + need);
   }
   if (values.size() != count) {
-    throw ScenarioError(place(key) + " has " + std::to_string(values.size()) + " entries; it" + need);
+    throw ScenarioError(place(key) + " has " + std::to_string(values.size()) + " entries; it" +
+                        need);
   }
   for (const double value : values) {
-    if (!(value >= low && value <= high)) throw ScenarioError(place(key) + " holds " + show(value) + "; it" + need);
+    if (!(value >= low && value <= high))
+      throw ScenarioError(place(key) + " holds " + show(value) + "; it" + need);
   }
   return values;
 }
@@ -171,8 +178,8 @@ void Section::finish() const {
   for (const auto& item : node_) {
     const std::string key = item.first.as<std::string>();
     if (std::find(known_.begin(), known_.end(), key) == known_.end()) {
-      throw ScenarioError(place(key) + " is not a known key. Did you mean '" + prefix_ + nearest_name(key, known_) +
-                          "'?");
+      throw ScenarioError(place(key) + " is not a known key. Did you mean '" + prefix_ +
+                          nearest_name(key, known_) + "'?");
     }
   }
 }

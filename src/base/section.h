@@ -17,10 +17,11 @@ class ScenarioError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-/// One mapping of a scenario file, read strictly: a key that nobody asks for is an error, as is a missing one.
+/// One mapping of a scenario file, read strictly: a key that nobody asks for is an error, as is a
+/// missing one.
 ///
-/// Values have no defaults here; the files in config/ are the one place that holds them, each with its comment.
-/// Every function throws ScenarioError with a sentence such as
+/// Values have no defaults here; the files in config/ are the one place that holds them, each with
+/// its comment. Every function throws ScenarioError with a sentence such as
 ///   `scenario.yaml:14: task.policy_rate_hz is 0; it must be in [1, 200].`
 class Section {
  public:

@@ -6,18 +6,22 @@
 
 namespace tandem {
 
-/// Wait-free queue between one writing and one reading thread. Memory is taken once, in the constructor.
+/// Wait-free queue between one writing and one reading thread. Memory is taken once, in the
+/// constructor.
 template <typename T>
 class SpscRing {
  public:
   explicit SpscRing(size_t capacity) : slots_(capacity + 1) {}
 
-  /// Slot to fill in place, or null when the ring is full. Nothing is visible to the reader before publish().
+  /// Slot to fill in place, or null when the ring is full. Nothing is visible to the reader before
+  /// publish().
   T* claim() noexcept {
     const size_t tail = tail_.load(std::memory_order_relaxed);
     return next(tail) == head_.load(std::memory_order_acquire) ? nullptr : &slots_[tail];
   }
-  void publish() noexcept { tail_.store(next(tail_.load(std::memory_order_relaxed)), std::memory_order_release); }
+  void publish() noexcept {
+    tail_.store(next(tail_.load(std::memory_order_relaxed)), std::memory_order_release);
+  }
 
   /// Copies a value in. @returns false when full.
   bool push(const T& value) noexcept {
@@ -33,7 +37,9 @@ class SpscRing {
     const size_t head = head_.load(std::memory_order_relaxed);
     return head == tail_.load(std::memory_order_acquire) ? nullptr : &slots_[head];
   }
-  void pop() noexcept { head_.store(next(head_.load(std::memory_order_relaxed)), std::memory_order_release); }
+  void pop() noexcept {
+    head_.store(next(head_.load(std::memory_order_relaxed)), std::memory_order_release);
+  }
 
   /// Number of values waiting; exact only for the reader and the writer at rest.
   size_t size() const noexcept {

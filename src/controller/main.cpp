@@ -1,4 +1,5 @@
-// tandem_controller: the arm's side of Tandem. See --help, and docs/ARCHITECTURE.md for the way of the data.
+// tandem_controller: the arm's side of Tandem. See --help, and docs/ARCHITECTURE.md for the way of
+// the data.
 
 #include <CLI/CLI.hpp>
 #include <csignal>
@@ -60,7 +61,8 @@ std::string whole_file(const std::string& path) {
   return text.str();
 }
 
-void write_scenario(EventLog& log, const std::string& path, const Task& task, int64_t first_episode) {
+void write_scenario(EventLog& log, const std::string& path, const Task& task,
+                    int64_t first_episode) {
   scenario_t m;
   m.utime = 0;
   m.scenario_yaml = whole_file(path);
@@ -77,8 +79,8 @@ nlohmann::json summary(const Histogram& histogram) {
   return {{"p50", s[0]}, {"p99", s[1]}, {"p999", s[2]}, {"max", s[3]}};
 }
 
-void write_results(const std::string& path, const std::vector<episode_end_t>& episodes, const StatusBoard& board,
-                   double wall_s, int64_t env_steps) {
+void write_results(const std::string& path, const std::vector<episode_end_t>& episodes,
+                   const StatusBoard& board, double wall_s, int64_t env_steps) {
   const char* outcomes[] = {"success", "timeout", "fault", "discard", "failure"};
   const char* phases[] = {"demonstration", "training", "evaluation"};
   nlohmann::json rows = nlohmann::json::array();
@@ -104,7 +106,8 @@ void write_results(const std::string& path, const std::vector<episode_end_t>& ep
                                   {"wakeup_us", summary(board.wakeup)}};
   std::ofstream file(path);
   file << results.dump(1) << "\n";
-  if (!file.good()) throw std::runtime_error(path + ": the results can't be written; check folder and disk space.");
+  if (!file.good())
+    throw std::runtime_error(path + ": the results can't be written; check folder and disk space.");
 }
 
 int run(const std::string& scenario_path, const std::string& run_folder, const std::string& lcm_url,
@@ -144,11 +147,12 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   std::unique_ptr<Link> link;
   std::unique_ptr<PolicyLoader> loader;
   if (has_partners) {
-    link = std::make_unique<Link>(Link::Settings{.url = lcm_url,
-                                                 .lockstep = scenario.run.lockstep,
-                                                 .learner = trains,
-                                                 .env_steps_budget = trains ? scenario.run.env_steps : 0},
-                                  task.spec(), board);
+    link = std::make_unique<Link>(
+        Link::Settings{.url = lcm_url,
+                       .lockstep = scenario.run.lockstep,
+                       .learner = trains,
+                       .env_steps_budget = trains ? scenario.run.env_steps : 0},
+        task.spec(), board);
     loader = std::make_unique<PolicyLoader>(
         slot, task, PolicyLoader::Settings{run_folder, scenario.horizon, scenario.run.lockstep},
         [&](const policy_ack_t& ack) {
@@ -164,7 +168,9 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
 
   RecorderSinks sinks;
   if (link) {
-    sinks.episode = [&](std::shared_ptr<const FinishedEpisode> episode) { link->send(std::move(episode)); };
+    sinks.episode = [&](std::shared_ptr<const FinishedEpisode> episode) {
+      link->send(std::move(episode));
+    };
     sinks.robot_state = [&](const robot_state_t& state) { link->send(state); };
     sinks.chunk = [&](const action_chunk_t& chunk) { link->send(chunk); };
     sinks.announcement = [&](int32_t version) { return loader->announcement(version); };
@@ -179,8 +185,8 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   const int64_t steps_before = position.env_steps;
   ControlLoop loop(robot, model, task.spec(), scenario.control, scenario.execution, records);
   PolicyWorker worker(task, slot);
-  Run programme(scenario.run, task, robot, model, loop, worker, link.get(), loader.get(), records, board,
-                std::move(position));
+  Run programme(scenario.run, task, robot, model, loop, worker, link.get(), loader.get(), records,
+                board, std::move(position));
   const int64_t start_us = monotonic_us();
   int code = programme.execute();
   const double wall_s = 1e-6 * static_cast<double>(monotonic_us() - start_us);
@@ -191,7 +197,8 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
     code = 3;
   }
   if (link) {
-    // A learner that still works gets what it has not confirmed; what it misses, it finds in the log.
+    // A learner that still works gets what it has not confirmed; what it misses, it finds in the
+    // log.
     for (int i = 0; code == 0 && i < 100 && board.episodes_unacknowledged > 0; ++i) usleep(100'000);
     link->stop();
   }
@@ -209,14 +216,18 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
 }  // namespace tandem
 
 int main(int argc, char** argv) {
-  CLI::App app{"The arm's side of Tandem: 1 kHz control loop, policy, recorder. './tandem train' starts and supervises it."};
+  CLI::App app{
+      "The arm's side of Tandem: 1 kHz control loop, policy, recorder. './tandem train' starts and "
+      "supervises it."};
   std::string scenario, run_folder, results, root = ".";
   const char* environment_url = std::getenv("LCM_DEFAULT_URL");
   std::string lcm_url = environment_url ? environment_url : "";
   bool check = false;
-  app.add_option("--scenario", scenario, "resolved scenario (YAML); its comments name every unit")->required();
+  app.add_option("--scenario", scenario, "resolved scenario (YAML); its comments name every unit")
+      ->required();
   app.add_option("--run", run_folder, "folder for log.lcm; a log that is there is continued");
-  app.add_option("--lcm-url", lcm_url, "LCM network, e.g. udpm://239.255.76.67:7667?ttl=0 [LCM_DEFAULT_URL]");
+  app.add_option("--lcm-url", lcm_url,
+                 "LCM network, e.g. udpm://239.255.76.67:7667?ttl=0 [LCM_DEFAULT_URL]");
   app.add_option("--root", root, "root of the checkout, where models/ lies [.]");
   app.add_option("--results", results, "file for a JSON summary of all episodes");
   app.add_flag("--check", check, "only check the scenario: exit 0, or 2 with a sentence");

@@ -4,11 +4,13 @@
 
 namespace tandem {
 
-/// Owns alpha, the share of the human in what the arm does: 0 = the policy alone, 1 = the human alone.
+/// Owns alpha, the share of the human in what the arm does: 0 = the policy alone, 1 = the human
+/// alone.
 ///
-/// alpha moves in straight ramps of `ramp_in` and `ramp_out` ticks for a full swing; with the default of 50 ticks it passes
-/// 0.9 within 45 ms of engaging. Policy and human are blended as *increments* of one commanded pose, so there is no target
-/// to jump to: at a hand-over, in either direction, the new hand continues from where the commanded pose is. Real-time.
+/// alpha moves in straight ramps of `ramp_in` and `ramp_out` ticks for a full swing; with the
+/// default of 50 ticks it passes 0.9 within 45 ms of engaging. Policy and human are blended as
+/// *increments* of one commanded pose, so there is no target to jump to: at a hand-over, in either
+/// direction, the new hand continues from where the commanded pose is. Real-time.
 class Arbiter {
  public:
   /// @param ramp_in,ramp_out ticks (ms), >= 1.

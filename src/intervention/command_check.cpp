@@ -12,10 +12,12 @@ const char* check_command(const teleop_command_t& message, HumanCommand& command
   }
   if (!(std::abs(message.device_gripper) <= 1.0)) return "device_gripper is not within [-1, 1]";
   if (message.engaged != 0 && message.engaged != 1) return "engaged is neither 0 nor 1";
-  if (message.label < teleop_command_t::LABEL_NONE || message.label > teleop_command_t::LABEL_DISCARD) {
+  if (message.label < teleop_command_t::LABEL_NONE ||
+      message.label > teleop_command_t::LABEL_DISCARD) {
     return "label is unknown";
   }
-  if (message.operator_id.size() >= sizeof(command.operator_id)) return "operator_id is longer than 31 characters";
+  if (message.operator_id.size() >= sizeof(command.operator_id))
+    return "operator_id is longer than 31 characters";
 
   command.utime = message.utime;
   command.episode_answered = message.episode_answered;

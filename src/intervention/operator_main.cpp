@@ -18,9 +18,11 @@ std::atomic<bool> stop{false};
 /// Answers every WORLD_STATE until told to end.
 class OperatorProcess {
  public:
-  OperatorProcess(const std::string& url, const OperatorRules& rules) : lcm_(url), operator_(rules) {
+  OperatorProcess(const std::string& url, const OperatorRules& rules)
+      : lcm_(url), operator_(rules) {
     if (!lcm_.good()) {
-      throw std::runtime_error("LCM can't be started on '" + url + "'; './tandem doctor' checks the network.");
+      throw std::runtime_error("LCM can't be started on '" + url +
+                               "'; './tandem doctor' checks the network.");
     }
     lcm_.subscribe("WORLD_STATE", &OperatorProcess::hear_world, this);
     lcm_.subscribe("CONTROLLER_STATUS", &OperatorProcess::hear_status, this);
@@ -38,8 +40,11 @@ class OperatorProcess {
     ++answered_;
   }
 
-  void hear_status(const lcm::ReceiveBuffer*, const std::string&, const controller_status_t* status) {
-    if (status->state == controller_status_t::FINISHED || status->state == controller_status_t::FAULTED) stop = true;
+  void hear_status(const lcm::ReceiveBuffer*, const std::string&,
+                   const controller_status_t* status) {
+    if (status->state == controller_status_t::FINISHED ||
+        status->state == controller_status_t::FAULTED)
+      stop = true;
   }
 
   lcm::LCM lcm_;
@@ -56,13 +61,16 @@ OperatorRules rules_of_scenario(const std::string& path) {
 }  // namespace tandem
 
 int main(int argc, char** argv) {
-  CLI::App app{"A person's stand-in: demonstrates, watches, takes over and lets go by the rules of config/operator.yaml."};
+  CLI::App app{
+      "A person's stand-in: demonstrates, watches, takes over and lets go by the rules of "
+      "config/operator.yaml."};
   std::string scenario;
   const char* environment_url = std::getenv("LCM_DEFAULT_URL");
   std::string lcm_url = environment_url ? environment_url : "";
   bool check = false;
   app.add_option("--scenario", scenario, "resolved scenario (YAML)")->required();
-  app.add_option("--lcm-url", lcm_url, "LCM network, e.g. udpm://239.255.76.67:7667?ttl=0 [LCM_DEFAULT_URL]");
+  app.add_option("--lcm-url", lcm_url,
+                 "LCM network, e.g. udpm://239.255.76.67:7667?ttl=0 [LCM_DEFAULT_URL]");
   app.add_flag("--check", check, "only check the scenario: exit 0, or 2 with a sentence");
   CLI11_PARSE(app, argc, argv);
   std::signal(SIGINT, [](int) { tandem::stop = true; });

@@ -10,14 +10,17 @@ namespace {
 
 constexpr double kHoleDepth = 0.03;  // m, how far below the rim he wants the tip
 
-Pose pose(const double* p, const double* q) { return {{p[0], p[1], p[2]}, Eigen::Quaterniond(q[0], q[1], q[2], q[3])}; }
+Pose pose(const double* p, const double* q) {
+  return {{p[0], p[1], p[2]}, Eigen::Quaterniond(q[0], q[1], q[2], q[3])};
+}
 
 }  // namespace
 
 OperatorRules read_rules(Section section) {
   OperatorRules r;
   r.name = section.text("name");
-  if (r.name.size() > 31) throw ScenarioError(section.place("name") + " is longer than 31 characters.");
+  if (r.name.size() > 31)
+    throw ScenarioError(section.place("name") + " is longer than 31 characters.");
   Section hand = section.section("hand");
   r.speed_low = hand.number("speed_low", 0.05, 1.0);
   r.speed_high = hand.number("speed_high", r.speed_low, 1.0);
@@ -40,7 +43,8 @@ OperatorRules read_rules(Section section) {
   hand.finish();
   Section help = section.section("help");
   r.reaction_steps_low = static_cast<int>(help.integer("reaction_steps_low", 0, 50));
-  r.reaction_steps_high = static_cast<int>(help.integer("reaction_steps_high", r.reaction_steps_low, 50));
+  r.reaction_steps_high =
+      static_cast<int>(help.integer("reaction_steps_high", r.reaction_steps_low, 50));
   r.no_progress_steps = static_cast<int>(help.integer("no_progress_steps", 2, 10000));
   r.patience_gain = help.number("patience_gain", 0.0, 100.0);
   r.progress_m = help.number("progress_m", 0.0, 0.1);
@@ -87,8 +91,8 @@ void ScriptedOperator::begin_episode(const world_state_t& world) {
   speed_ = random.uniform(rules_.speed_low, rules_.speed_high);
   for (int i = 0; i < 3; ++i) see_bias_[i] = random.normal(rules_.see_bias_m);
   see_bias_yaw_ = random.normal(rules_.see_bias_rad);
-  reaction_steps_ = static_cast<int>(
-      std::lround(random.uniform(rules_.reaction_steps_low - 0.49, rules_.reaction_steps_high + 0.49)));
+  reaction_steps_ = static_cast<int>(std::lround(
+      random.uniform(rules_.reaction_steps_low - 0.49, rules_.reaction_steps_high + 0.49)));
   views_.clear();
   tremor_.setZero();
   pause_left_ = stuck_steps_ = 0;
@@ -124,7 +128,8 @@ bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
   const bool lost = since_best_ > rules_.no_progress_steps * patience;
   const bool away = now.distance > best_distance_ + rules_.away_m;
   const bool rough = force_steps_ >= rules_.force_steps;
-  const bool late = world.max_steps - world.step < rules_.hurry_steps && now.tip.z() > -rules_.seated_m;
+  const bool late =
+      world.max_steps - world.step < rules_.hurry_steps && now.tip.z() > -rules_.seated_m;
   return lost || away || rough || late;
 }
 
@@ -194,7 +199,8 @@ Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
   Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(), target_z - seen.tip.z());
   // Off the axis he stays clear of the block, and lifts the peg before he carries it over.
   if (off_axis > 0.02 && wanted.z() < 0.0 && seen.tip.z() < 0.02) wanted.z() = 0.0;
-  if (off_axis > 5.0 * rules_.align_m && seen.tip.z() < 0.5 * rules_.hover_m) wanted.head<2>() *= 0.1;
+  if (off_axis > 5.0 * rules_.align_m && seen.tip.z() < 0.5 * rules_.hover_m)
+    wanted.head<2>() *= 0.1;
 
   // Stuck in the mouth: wiggle until the tip falls deeper.
   if (seen.tip.z() < lowest_ - 0.0005) {
@@ -210,7 +216,8 @@ Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
     turn += random.uniform(-0.03, 0.03);
   }
 
-  // As a device twist: a share of the error, at most his speed; he presses no further than his hand likes.
+  // As a device twist: a share of the error, at most his speed; he presses no further than his hand
+  // likes.
   Eigen::Vector3d step = rules_.gain * (seen.R_WG * wanted);
   if (seen.tip.z() < rules_.hover_m) step.z() = std::max(step.z(), -rules_.touch_m);
   if (world.F_ext_W[2] > rules_.push_force && step.z() < 0.0) step.z() = 0.002;

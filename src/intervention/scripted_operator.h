@@ -28,11 +28,13 @@ struct OperatorRules {
 /// @throws ScenarioError
 OperatorRules read_rules(Section section);
 
-/// A person's stand-in on the teleop channel: demonstrates, watches, takes over, lets go; by published rules.
+/// A person's stand-in on the teleop channel: demonstrates, watches, takes over, lets go; by
+/// published rules.
 ///
-/// He sees the truth of the simulator as a person sees the scene: late, with a misjudgement that stays for an episode, and
-/// acts with tremor and pauses. Everything random comes from the episode's seed, so the same WORLD_STATEs give the same
-/// answers; a repeated WORLD_STATE gets the same answer again.
+/// He sees the truth of the simulator as a person sees the scene: late, with a misjudgement that
+/// stays for an episode, and acts with tremor and pauses. Everything random comes from the
+/// episode's seed, so the same WORLD_STATEs give the same answers; a repeated WORLD_STATE gets the
+/// same answer again.
 class ScriptedOperator {
  public:
   explicit ScriptedOperator(const OperatorRules& rules) : rules_(rules) {}
@@ -43,11 +45,11 @@ class ScriptedOperator {
   /// Where the tip is relative to the hole, as he sees it: hole axes, z = height above the rim.
   struct View {
     Eigen::Vector3d tip;
-    double yaw;        ///< rad, turn that would align the peg
+    double yaw;  ///< rad, turn that would align the peg
     Pose X_WE;
     Eigen::Matrix3d R_WG;
-    double distance;   ///< m, to the bottom of the hole
-    double force;      ///< N
+    double distance;  ///< m, to the bottom of the hole
+    double force;     ///< N
   };
 
   void begin_episode(const world_state_t& world);

@@ -14,8 +14,10 @@ TEST(SpscRing, KeepsOrderAndLosesNothingBetweenTwoThreads) {
   constexpr int kCount = 200'000;
   std::thread writer([&] {
     for (int i = 0; i < kCount;) {
-      if (ring.push(i)) ++i;
-      else std::this_thread::yield();
+      if (ring.push(i))
+        ++i;
+      else
+        std::this_thread::yield();
     }
   });
   for (int expected = 0; expected < kCount;) {
@@ -39,7 +41,8 @@ TEST(SpscRing, RefusesWhenFull) {
 }
 
 TEST(Random, SameKeysGiveTheSameNumbersAndOtherKeysOthers) {
-  Random a = random_for(7, Purpose::reset), b = random_for(7, Purpose::reset), c = random_for(7, Purpose::observation);
+  Random a = random_for(7, Purpose::reset), b = random_for(7, Purpose::reset),
+         c = random_for(7, Purpose::observation);
   for (int i = 0; i < 100; ++i) {
     const uint64_t x = a.next();
     EXPECT_EQ(x, b.next());

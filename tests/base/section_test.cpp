@@ -40,7 +40,9 @@ TEST_F(SectionTest, UnknownKeyIsRefusedWithItsLineAndTheNearestName) {
     }
     task.finish();
   });
-  EXPECT_EQ(said, path_ + ":3: task.policy_rate_hs is not a known key. Did you mean 'task.policy_rate_hz'?");
+  EXPECT_EQ(
+      said,
+      path_ + ":3: task.policy_rate_hs is not a known key. Did you mean 'task.policy_rate_hz'?");
 }
 
 TEST_F(SectionTest, ValueOutOfRangeIsRefusedWithValueAndRange) {
@@ -51,8 +53,10 @@ TEST_F(SectionTest, ValueOutOfRangeIsRefusedWithValueAndRange) {
 
 TEST_F(SectionTest, NotANumberIsRefused) {
   Section root = load("rate_hz: .nan\nn: fast\n");
-  EXPECT_NE(refusal([&] { root.number("rate_hz", 1, 200); }).find("must be in [1, 200]"), std::string::npos);
-  EXPECT_NE(refusal([&] { root.integer("n", 1, 200); }).find("not a whole number"), std::string::npos);
+  EXPECT_NE(refusal([&] { root.number("rate_hz", 1, 200); }).find("must be in [1, 200]"),
+            std::string::npos);
+  EXPECT_NE(refusal([&] { root.integer("n", 1, 200); }).find("not a whole number"),
+            std::string::npos);
 }
 
 TEST_F(SectionTest, MissingKeyIsRefused) {

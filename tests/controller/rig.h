@@ -7,9 +7,12 @@
 
 namespace tandem::testing {
 
-inline Section config(const std::string& file) { return Section::load(std::string(TANDEM_ROOT) + "/config/" + file); }
+inline Section config(const std::string& file) {
+  return Section::load(std::string(TANDEM_ROOT) + "/config/" + file);
+}
 
-/// The whole control side around a real simulated arm on the peg task, as main() wires it, without other threads.
+/// The whole control side around a real simulated arm on the peg task, as main() wires it, without
+/// other threads.
 struct Rig {
   std::unique_ptr<Task> task = make_task(config("tasks/peg.yaml"));
   Simulation simulation{std::string(TANDEM_ROOT) + "/" + task->spec().scene};

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from tandem.cli.log import first_difference
 
 ROOT = Path(__file__).parents[2]
@@ -65,7 +66,9 @@ def test_train_leaves_everything_that_a_user_needs(reference: Path) -> None:
     assert 0 <= summary["interventions"]["share"] <= 1
 
 
-def test_log_does_not_depend_on_the_machines_load(reference: Path, tmp_path: Path, busy_machine: None) -> None:
+def test_log_does_not_depend_on_the_machines_load(
+    reference: Path, tmp_path: Path, busy_machine: None
+) -> None:
     done = train(tmp_path / "busy")
     assert done.returncode == 0, done.stderr[-3000:]
     events, difference = first_difference(reference / "log.lcm", tmp_path / "busy" / "log.lcm", ".*")
@@ -84,7 +87,9 @@ def test_killed_controller_loses_at_most_the_running_episode(reference: Path, tm
     # Kill the controller as soon as a training episode is in its log.
     deadline = time.monotonic() + 180
     while not _controller_of(run) or b"EPISODE_END" not in _bytes(run / "log.lcm"):
-        assert process.poll() is None and time.monotonic() < deadline, "the run ended before it could be killed"
+        assert process.poll() is None and time.monotonic() < deadline, (
+            "the run ended before it could be killed"
+        )
         time.sleep(0.05)
     os.kill(_controller_of(run)[0], signal.SIGKILL)
     output, _ = process.communicate(timeout=120)

@@ -39,7 +39,8 @@ TEST(ScriptedOperator, DemonstratesTowardsTheHoleAndLeavesMaskedAxesAlone) {
   ScriptedOperator person(rules());
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (int step = 0; step < 30; ++step) {
-    const teleop_command_t command = person.answer(world_at({0.03, -0.02, 0.05}, step, world_state_t::DEMONSTRATION));
+    const teleop_command_t command =
+        person.answer(world_at({0.03, -0.02, 0.05}, step, world_state_t::DEMONSTRATION));
     EXPECT_EQ(command.engaged, 1);
     EXPECT_EQ(command.device_twist[3], 0.0);
     sum += Eigen::Vector3d::Map(command.device_twist);
@@ -52,7 +53,8 @@ TEST(ScriptedOperator, DemonstratesTowardsTheHoleAndLeavesMaskedAxesAlone) {
 TEST(ScriptedOperator, KeepsOffInEvaluation) {
   ScriptedOperator person(rules());
   for (int step = 0; step < 200; ++step) {
-    EXPECT_EQ(person.answer(world_at({0.03, 0.0, 0.05}, step, world_state_t::EVALUATION)).engaged, 0);
+    EXPECT_EQ(person.answer(world_at({0.03, 0.0, 0.05}, step, world_state_t::EVALUATION)).engaged,
+              0);
   }
 }
 
@@ -61,7 +63,8 @@ TEST(ScriptedOperator, TakesOverWithoutProgressAndLetsGoAfterRecovery) {
   ScriptedOperator person(r);
   int taken_at = -1;
   for (int step = 0; step < 60 && taken_at < 0; ++step) {
-    if (person.answer(world_at({0.05, 0.0, 0.05}, step, world_state_t::TRAINING)).engaged) taken_at = step;
+    if (person.answer(world_at({0.05, 0.0, 0.05}, step, world_state_t::TRAINING)).engaged)
+      taken_at = step;
   }
   EXPECT_GT(taken_at, r.no_progress_steps);
   EXPECT_LE(taken_at, r.no_progress_steps + r.reaction_steps_high + 3);

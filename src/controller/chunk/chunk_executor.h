@@ -10,10 +10,12 @@ enum class ExecutionMode { receding, open_loop };
 /// How chunks are executed; the `method.execution` section.
 struct ExecutionSettings {
   ExecutionMode mode = ExecutionMode::receding;
-  int execute = 1;           ///< open loop: steps of a chunk that are executed before the next inference, k <= h
-  double noise_chunk = 0.0;  ///< exploration: standard deviation of one offset for the whole chunk, action units
-  double noise_step = 0.0;   ///< the same, drawn anew for every step
-  double noise_clip = 0.0;   ///< bound on the sum of both
+  int execute =
+      1;  ///< open loop: steps of a chunk that are executed before the next inference, k <= h
+  double noise_chunk =
+      0.0;  ///< exploration: standard deviation of one offset for the whole chunk, action units
+  double noise_step = 0.0;  ///< the same, drawn anew for every step
+  double noise_clip = 0.0;  ///< bound on the sum of both
 };
 
 /// @throws ScenarioError
@@ -21,12 +23,14 @@ ExecutionSettings read_execution(Section section, int horizon);
 
 /// Decides which action of which chunk is due at a policy step.
 ///
-/// Before the first chunk, and when a chunk has run out, the action is "hold" (no motion, same gripper).
-/// Exploration noise is added as a chunk is accepted: one offset for the chunk and one per step, seeded by
-/// (episode seed, chunk id), never on masked axes or the gripper. Real-time: no allocation, noexcept.
+/// Before the first chunk, and when a chunk has run out, the action is "hold" (no motion, same
+/// gripper). Exploration noise is added as a chunk is accepted: one offset for the chunk and one
+/// per step, seeded by (episode seed, chunk id), never on masked axes or the gripper. Real-time: no
+/// allocation, noexcept.
 class ChunkExecutor {
  public:
-  ChunkExecutor(const ExecutionSettings& settings, const Action& axes) : settings_(settings), axes_(axes) {}
+  ChunkExecutor(const ExecutionSettings& settings, const Action& axes)
+      : settings_(settings), axes_(axes) {}
 
   /// Forgets all chunks. @param explore whether noise is added in this episode.
   void begin_episode(uint64_t episode_seed, bool explore) noexcept;
@@ -34,14 +38,16 @@ class ChunkExecutor {
   /// True when a new inference should be made from the observation of this step.
   bool needs_chunk(int32_t step) const noexcept;
 
-  /// Takes a chunk over. A chunk that is older than the present one or malformed is refused and counted.
+  /// Takes a chunk over. A chunk that is older than the present one or malformed is refused and
+  /// counted.
   /// @returns whether it was accepted.
   bool accept(const Chunk& chunk) noexcept;
 
   /// The present chunk is stale (a human moved the arm meanwhile): hold until the next one.
   void invalidate() noexcept;
 
-  /// The action that is due at this step, in [-1, 1], masked axes 0. @param gripper what "same gripper" means now.
+  /// The action that is due at this step, in [-1, 1], masked axes 0. @param gripper what "same
+  /// gripper" means now.
   Action action(int32_t step, double gripper) const noexcept;
 
   /// Which action of the present chunk is due, -1 when none.

@@ -4,12 +4,13 @@
 
 namespace tandem {
 
-/// Turns the commanded pose, which moves in straight ramps from step to step, into a reference that is continuous in pose
-/// and velocity whatever the commanded pose does: seams between chunks and take-overs included.
+/// Turns the commanded pose, which moves in straight ramps from step to step, into a reference that
+/// is continuous in pose and velocity whatever the commanded pose does: seams between chunks and
+/// take-overs included.
 ///
-/// A critically damped second-order low-pass on SE(3), base axes: a = omega^2 e - 2 omega V with e = commanded minus
-/// reference. It never overshoots a ramp that stops and lags a steady ramp by 2 / omega seconds, which the velocity
-/// feed-forward of the law makes up for. Real-time.
+/// A critically damped second-order low-pass on SE(3), base axes: a = omega^2 e - 2 omega V with e
+/// = commanded minus reference. It never overshoots a ramp that stops and lags a steady ramp by 2 /
+/// omega seconds, which the velocity feed-forward of the law makes up for. Real-time.
 class ReferenceFilter {
  public:
   /// @param omega rad/s. @param acceleration_limit m/s^2 and rad/s^2 per axis.

@@ -19,7 +19,8 @@ EventLog::EventLog(const std::string& path) : path_(path) {
 
 void EventLog::recover(const std::string& path) {
   lcm::LogFile log(path, "r");
-  if (!log.good()) throw std::runtime_error(path + ": the event log of the earlier run can't be read.");
+  if (!log.good())
+    throw std::runtime_error(path + ": the event log of the earlier run can't be read.");
   uintmax_t complete_bytes = 0;
   Past seen;
   while (const lcm::LogEvent* event = log.readNextEvent()) {
@@ -27,7 +28,8 @@ void EventLog::recover(const std::string& path) {
       seen.has_scenario = true;
     } else if (event->channel == "POLICY_ANNOUNCE") {
       policy_announce_t announce;
-      if (announce.decode(event->data, 0, event->datalen) >= 0) seen.last_policy_path = announce.path;
+      if (announce.decode(event->data, 0, event->datalen) >= 0)
+        seen.last_policy_path = announce.path;
     } else if (event->channel == "EPISODE_END") {
       episode_end_t end;
       if (end.decode(event->data, 0, event->datalen) < 0) break;
@@ -60,7 +62,8 @@ void EventLog::flush() {
   FILE* file = file_->getFilePtr();
   if (std::fflush(file) != 0 || std::ferror(file)) {
     failure_ = path_ + ": the event log can't be written any more (" + std::strerror(errno) +
-               "); free disk space and start the same command again, it continues after the last whole episode.";
+               "); free disk space and start the same command again, it continues after the last "
+               "whole episode.";
   }
 }
 

@@ -9,10 +9,11 @@
 
 namespace tandem {
 
-/// The log of record: a standard LCM event log, written in this process, so that nothing can be lost on a network.
+/// The log of record: a standard LCM event log, written in this process, so that nothing can be
+/// lost on a network.
 ///
-/// An existing log is continued: it is cut after its last complete episode, and what it already holds is told, so that a
-/// run that was killed goes on where it stopped. Used by one thread.
+/// An existing log is continued: it is cut after its last complete episode, and what it already
+/// holds is told, so that a run that was killed goes on where it stopped. Used by one thread.
 class EventLog {
  public:
   /// What a log already holds.

@@ -75,7 +75,8 @@ action_chunk_t to_message(const ChunkRecord& record, int64_t episode, int64_t ut
   m.policy_chunk.resize(record.chunk.horizon);
   for (int i = 0; i < record.chunk.horizon; ++i) {
     m.policy_chunk[i].resize(7);
-    for (int axis = 0; axis < 7; ++axis) m.policy_chunk[i][axis] = static_cast<float>(record.chunk.actions[i][axis]);
+    for (int axis = 0; axis < 7; ++axis)
+      m.policy_chunk[i][axis] = static_cast<float>(record.chunk.actions[i][axis]);
   }
   m.wall_inference_us = record.chunk.inference_us;
   return m;

@@ -10,7 +10,8 @@
 #include "controller/task/scene.h"
 #include "intervention/command_check.h"
 
-/// What the control thread tells the recorder: one ring of fixed-size records, in the order in which things took effect.
+/// What the control thread tells the recorder: one ring of fixed-size records, in the order in
+/// which things took effect.
 namespace tandem {
 
 struct EpisodeBegin {
@@ -24,16 +25,17 @@ struct EpisodeBegin {
 struct TickRecord {
   int64_t utime = 0, tick = 0;
   RobotState robot;
-  Pose X_WE;                 ///< measured
-  Pose X_WE_reference;       ///< what the law tracked
+  Pose X_WE;            ///< measured
+  Pose X_WE_reference;  ///< what the law tracked
   Twist V_WE = Twist::Zero();
-  Wrench F_ext_W = Wrench::Zero();    ///< filtered
+  Wrench F_ext_W = Wrench::Zero();  ///< filtered
   Wrench force_bound = Wrench::Zero();
   JointVector tau_commanded = JointVector::Zero();  ///< after every limit
   double alpha = 0.0;
 };
 
-/// The observation of a step, once the policy thread has built it; step max + 1 closes the last one.
+/// The observation of a step, once the policy thread has built it; step max + 1 closes the last
+/// one.
 struct ObservationRecord {
   int32_t step = 0;
   std::array<float, kMaxObservation> values{};
@@ -46,13 +48,13 @@ struct ChunkRecord {
 
 /// What happened during one policy step.
 struct StepRecord {
-  int64_t utime = 0;         ///< us, when the step began
+  int64_t utime = 0;  ///< us, when the step began
   int32_t step = 0;
   Action policy = Action::Zero(), human = Action::Zero(), executed = Action::Zero();
   double alpha_mean = 0.0;
   bool intervention = false, took_over = false;
   int32_t policy_version = 0, chunk_id = -1, chunk_index = -1;
-  double force_peak = 0.0;   ///< N, unfiltered
+  double force_peak = 0.0;           ///< N, unfiltered
   double force_filtered_peak = 0.0;  ///< N
 };
 
@@ -68,7 +70,7 @@ struct PolicyInForce {
   int32_t version = 0;
 };
 
-using Record = std::variant<EpisodeBegin, TickRecord, ObservationRecord, StepSnapshot, ChunkRecord, HumanCommand, StepRecord,
-                            EpisodeFinish, PolicyInForce>;
+using Record = std::variant<EpisodeBegin, TickRecord, ObservationRecord, StepSnapshot, ChunkRecord,
+                            HumanCommand, StepRecord, EpisodeFinish, PolicyInForce>;
 
 }  // namespace tandem

@@ -9,8 +9,9 @@
 
 namespace tandem {
 
-Recorder::Recorder(SpscRing<Record>& ring, EventLog* log, const TaskSpec& task, int observation_size,
-                   const RecorderSettings& settings, RecorderSinks sinks, StatusBoard& board)
+Recorder::Recorder(SpscRing<Record>& ring, EventLog* log, const TaskSpec& task,
+                   int observation_size, const RecorderSettings& settings, RecorderSinks sinks,
+                   StatusBoard& board)
     : ring_(ring),
       log_(log),
       task_(task),
@@ -58,7 +59,8 @@ void Recorder::take(const TickRecord& tick) {
 void Recorder::take(const ObservationRecord& observation) {
   const size_t index = static_cast<size_t>(observation.step);
   if (observations_.size() <= index) observations_.resize(index + 1);
-  observations_[index].assign(observation.values.begin(), observation.values.begin() + observation_size_);
+  observations_[index].assign(observation.values.begin(),
+                              observation.values.begin() + observation_size_);
 }
 
 void Recorder::take(const StepSnapshot& snapshot) {
@@ -72,7 +74,9 @@ void Recorder::take(const ChunkRecord& chunk) {
   if (sinks_.chunk) sinks_.chunk(message);
 }
 
-void Recorder::take(const HumanCommand& command) { log("TELEOP_COMMAND", utime_, to_message(command)); }
+void Recorder::take(const HumanCommand& command) {
+  log("TELEOP_COMMAND", utime_, to_message(command));
+}
 
 void Recorder::take(const StepRecord& step) { steps_.push_back(step); }
 
@@ -86,7 +90,8 @@ void Recorder::take(const PolicyInForce& policy) {
 void Recorder::take(const EpisodeFinish& finish) {
   auto episode = std::make_shared<FinishedEpisode>(assemble(finish));
   if (log_) {
-    for (const std::vector<uint8_t>& step : episode->steps) log_->write("EPISODE_STEP", finish.utime, step);
+    for (const std::vector<uint8_t>& step : episode->steps)
+      log_->write("EPISODE_STEP", finish.utime, step);
     log_->write("EPISODE_END", finish.utime, episode->end);
     log_->flush();
     if (!log_->failure().empty()) board_.stop = true;
@@ -98,7 +103,8 @@ void Recorder::take(const EpisodeFinish& finish) {
 FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
   // A step without its observations on both sides (an aborted one) is not a transition.
   size_t n_steps = steps_.size();
-  while (n_steps > 0 && (observations_.size() < n_steps + 1 || observations_[n_steps].empty())) --n_steps;
+  while (n_steps > 0 && (observations_.size() < n_steps + 1 || observations_[n_steps].empty()))
+    --n_steps;
 
   std::vector<double> rewards(n_steps, 0.0);
   if (finish.outcome == Outcome::success && n_steps > 0) rewards.back() = 1.0;
@@ -126,7 +132,8 @@ FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
     m.alpha = static_cast<float>(step.alpha_mean);
     m.intervention = step.intervention ? 1 : 0;
     const bool last = t + 1 == n_steps;
-    m.terminated = last && (finish.outcome == Outcome::success || finish.outcome == Outcome::failure) ? 1 : 0;
+    m.terminated =
+        last && (finish.outcome == Outcome::success || finish.outcome == Outcome::failure) ? 1 : 0;
     m.truncated = last && finish.outcome == Outcome::timeout ? 1 : 0;
     m.reward = static_cast<float>(rewards[t]);
     m.discounted_return = static_cast<float>(returns[t]);

@@ -33,11 +33,13 @@ struct RecorderSinks {
   std::function<void(std::shared_ptr<const FinishedEpisode>)> episode;
   std::function<void(const robot_state_t&)> robot_state;
   std::function<void(const action_chunk_t&)> chunk;
-  std::function<policy_announce_t(int32_t version)> announcement;  ///< of a policy that came into force
+  std::function<policy_announce_t(int32_t version)>
+      announcement;  ///< of a policy that came into force
 };
 
-/// Drains the control thread's ring on its own thread: writes the event log, assembles episodes, computes returns.
-/// When the log can't be written any more it asks for the run to stop: nothing is done that would not be recorded.
+/// Drains the control thread's ring on its own thread: writes the event log, assembles episodes,
+/// computes returns. When the log can't be written any more it asks for the run to stop: nothing is
+/// done that would not be recorded.
 class Recorder {
  public:
   /// @param log may be null: episodes are assembled but not written.

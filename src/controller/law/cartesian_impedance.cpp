@@ -5,8 +5,8 @@
 namespace tandem {
 namespace {
 
-// Damping of the pseudo-inverse: large enough that a stretched arm gives bounded torques, too small to matter elsewhere
-// (smallest singular value of J at the home pose: 0.2).
+// Damping of the pseudo-inverse: large enough that a stretched arm gives bounded torques, too small
+// to matter elsewhere (smallest singular value of J at the home pose: 0.2).
 constexpr double kLambda = 0.02;
 
 Eigen::LLT<Eigen::Matrix<double, 6, 6>> damped_gram(const Jacobian& J) noexcept {
@@ -37,13 +37,16 @@ ImpedanceGains read_gains(Section section) {
   return gains;
 }
 
-JointVector CartesianImpedance::torque(const ArmState& arm, const PoseReference& reference) const noexcept {
+JointVector CartesianImpedance::torque(const ArmState& arm,
+                                       const PoseReference& reference) const noexcept {
   // Spring on the clipped error, damper on the velocity error.
-  const Twist error = minus(reference.X_WE, arm.X_WE).cwiseMax(-gains_.error_clip).cwiseMin(gains_.error_clip);
+  const Twist error =
+      minus(reference.X_WE, arm.X_WE).cwiseMax(-gains_.error_clip).cwiseMin(gains_.error_clip);
   const Wrench wrench =
       gains_.stiffness.cwiseProduct(error) + gains_.damping.cwiseProduct(reference.V_WE - arm.V_WE);
 
-  // Posture: spring with critical damping for a unit inertia, capped, then projected out of the tool's motion.
+  // Posture: spring with critical damping for a unit inertia, capped, then projected out of the
+  // tool's motion.
   const JointVector spring = gains_.posture_stiffness * (gains_.posture - arm.q);
   const JointVector damper = 2.0 * std::sqrt(gains_.posture_stiffness) * arm.dq;
   const JointVector posture = (spring - damper)

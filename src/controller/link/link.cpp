@@ -25,11 +25,13 @@ Link::Link(const Settings& settings, const TaskSpec& task, StatusBoard& board)
       task_(task),
       board_(board),
       lcm_(settings.url),
-      instance_(static_cast<int64_t>((static_cast<uint64_t>(std::random_device{}()) << 31) ^ std::random_device{}())),
+      instance_(static_cast<int64_t>((static_cast<uint64_t>(std::random_device{}()) << 31) ^
+                                     std::random_device{}())),
       wake_fd_(eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC)) {
   if (!lcm_.good()) {
-    throw std::runtime_error("LCM can't be started on '" + settings.url +
-                             "'; './tandem doctor' checks the network interface and the multicast route.");
+    throw std::runtime_error(
+        "LCM can't be started on '" + settings.url +
+        "'; './tandem doctor' checks the network interface and the multicast route.");
   }
   refuse_second_controller();
   // Raw, so that bytes that do not even decode are counted as well.
@@ -50,15 +52,16 @@ Link::~Link() {
 }
 
 void Link::refuse_second_controller() {
-  // Listen for longer than another controller can be silent, telling of ourselves meanwhile: of two that start together,
-  // the one with the larger number gives way.
+  // Listen for longer than another controller can be silent, telling of ourselves meanwhile: of two
+  // that start together, the one with the larger number gives way.
   bool other = false;
   auto* subscription = lcm_.subscribe<controller_status_t>(
-      "CONTROLLER_STATUS",
-      [this, &other](const lcm::ReceiveBuffer*, const std::string&, const controller_status_t* status) {
+      "CONTROLLER_STATUS", [this, &other](const lcm::ReceiveBuffer*, const std::string&,
+                                          const controller_status_t* status) {
         const bool ours = status->wall_instance == instance_;
         const bool starting = status->state == controller_status_t::WAITING && status->ticks == 0;
-        const bool ended = status->state == controller_status_t::FINISHED || status->state == controller_status_t::FAULTED;
+        const bool ended = status->state == controller_status_t::FINISHED ||
+                           status->state == controller_status_t::FAULTED;
         if (!ours && !ended && (!starting || status->wall_instance < instance_)) other = true;
       });
   const int64_t until_us = monotonic_us() + kListenUs;
@@ -187,7 +190,8 @@ void Link::publish_episode(const FinishedEpisode& episode, const std::vector<int
     for (size_t i = 0; i < episode.steps.size(); ++i) publish_step(i);
   } else {
     for (const int32_t i : only_steps) {
-      if (i >= 0 && static_cast<size_t>(i) < episode.steps.size()) publish_step(static_cast<size_t>(i));
+      if (i >= 0 && static_cast<size_t>(i) < episode.steps.size())
+        publish_step(static_cast<size_t>(i));
     }
   }
   lcm_.publish("EPISODE_END", &episode.end);
@@ -244,7 +248,8 @@ void Link::hear_ack(const lcm::ReceiveBuffer*, const std::string&, const episode
   board_.episodes_unacknowledged = static_cast<int64_t>(pending_.size());
 }
 
-void Link::hear_request(const lcm::ReceiveBuffer*, const std::string&, const episode_request_t* message) {
+void Link::hear_request(const lcm::ReceiveBuffer*, const std::string&,
+                        const episode_request_t* message) {
   board_.last_learner_us = monotonic_us();
   std::shared_ptr<const FinishedEpisode> episode;
   {
@@ -255,7 +260,8 @@ void Link::hear_request(const lcm::ReceiveBuffer*, const std::string&, const epi
   if (episode) publish_episode(*episode, message->missing_steps);
 }
 
-void Link::hear_announce(const lcm::ReceiveBuffer*, const std::string&, const policy_announce_t* message) {
+void Link::hear_announce(const lcm::ReceiveBuffer*, const std::string&,
+                         const policy_announce_t* message) {
   board_.last_learner_us = monotonic_us();
   if (announced_) announced_(*message);
 }
@@ -264,9 +270,11 @@ void Link::hear_learner(const lcm::ReceiveBuffer*, const std::string&, const lea
   board_.last_learner_us = monotonic_us();
 }
 
-void Link::hear_command(const lcm::ReceiveBuffer*, const std::string&, const controller_command_t* message) {
+void Link::hear_command(const lcm::ReceiveBuffer*, const std::string&,
+                        const controller_command_t* message) {
   if (message->order == controller_command_t::ESTOP) board_.estop = true;
-  if (message->order == controller_command_t::STOP || message->order == controller_command_t::ESTOP) board_.stop = true;
+  if (message->order == controller_command_t::STOP || message->order == controller_command_t::ESTOP)
+    board_.stop = true;
 }
 
 }  // namespace tandem

@@ -27,23 +27,27 @@ namespace tandem {
 
 /// The link thread: all LCM traffic of the controller, in and out.
 ///
-/// The control thread touches only show_world() and the ring of human commands, both wait-free. The recorder and loader
-/// threads hand messages over under a mutex that the control thread never takes. A finished episode is sent again every
-/// half second until the learner acknowledges it; nothing is forgotten before that.
+/// The control thread touches only show_world() and the ring of human commands, both wait-free. The
+/// recorder and loader threads hand messages over under a mutex that the control thread never
+/// takes. A finished episode is sent again every half second until the learner acknowledges it;
+/// nothing is forgotten before that.
 class Link {
  public:
   struct Settings {
-    std::string url;             ///< LCM provider; empty: environment or LCM's default
+    std::string url;  ///< LCM provider; empty: environment or LCM's default
     bool lockstep = true;
-    bool learner = false;        ///< episodes go out and are kept until acknowledged
+    bool learner = false;  ///< episodes go out and are kept until acknowledged
     int64_t env_steps_budget = 0;
   };
 
-  /// Joins the network. @throws std::runtime_error with a sentence when it can't, or when another controller answers there.
+  /// Joins the network. @throws std::runtime_error with a sentence when it can't, or when another
+  /// controller answers there.
   Link(const Settings& settings, const TaskSpec& task, StatusBoard& board);
   ~Link();
 
-  void on_announcement(std::function<void(const policy_announce_t&)> handler) { announced_ = std::move(handler); }
+  void on_announcement(std::function<void(const policy_announce_t&)> handler) {
+    announced_ = std::move(handler);
+  }
   /// Starts the thread; handlers are set by then.
   void start();
   /// Sends what is queued, a last CONTROLLER_STATUS, and ends the thread.
@@ -71,10 +75,13 @@ class Link {
 
   void hear_teleop(const lcm::ReceiveBuffer* buffer, const std::string&);
   void hear_ack(const lcm::ReceiveBuffer*, const std::string&, const episode_ack_t* message);
-  void hear_request(const lcm::ReceiveBuffer*, const std::string&, const episode_request_t* message);
-  void hear_announce(const lcm::ReceiveBuffer*, const std::string&, const policy_announce_t* message);
+  void hear_request(const lcm::ReceiveBuffer*, const std::string&,
+                    const episode_request_t* message);
+  void hear_announce(const lcm::ReceiveBuffer*, const std::string&,
+                     const policy_announce_t* message);
   void hear_learner(const lcm::ReceiveBuffer*, const std::string&, const learner_status_t* message);
-  void hear_command(const lcm::ReceiveBuffer*, const std::string&, const controller_command_t* message);
+  void hear_command(const lcm::ReceiveBuffer*, const std::string&,
+                    const controller_command_t* message);
 
   Settings settings_;
   const TaskSpec& task_;

@@ -16,10 +16,13 @@ namespace {
 
 std::string file_digest(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
-  if (!file) throw std::runtime_error(path + ": the policy file can't be read; check the path and its permissions.");
+  if (!file)
+    throw std::runtime_error(
+        path + ": the policy file can't be read; check the path and its permissions.");
   Sha256 digest;
   char block[65536];
-  while (file.read(block, sizeof(block)) || file.gcount() > 0) digest.add(block, static_cast<size_t>(file.gcount()));
+  while (file.read(block, sizeof(block)) || file.gcount() > 0)
+    digest.add(block, static_cast<size_t>(file.gcount()));
   return digest.hex();
 }
 
@@ -31,31 +34,38 @@ std::string join(const std::vector<std::string>& names) {
 
 }  // namespace
 
-std::unique_ptr<const policy::Policy> load_policy(const std::string& path, const std::string& sha256, const Task& task,
+std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
+                                                  const std::string& sha256, const Task& task,
                                                   int horizon) {
   if (!sha256.empty() && file_digest(path) != sha256) {
-    throw std::runtime_error(path + ": the file's SHA-256 is not the announced one; it was changed or cut after it was "
-                             "written, announce it again.");
+    throw std::runtime_error(
+        path +
+        ": the file's SHA-256 is not the announced one; it was changed or cut after it was "
+        "written, announce it again.");
   }
   auto policy = policy::Policy::load(path);
   const policy::Header& header = policy->header();
   if (header.task != task.spec().name) {
-    throw std::runtime_error(path + ": this policy is for the task '" + header.task + "', not for '" +
-                             task.spec().name + "'; give --task " + header.task + " or another policy.");
+    throw std::runtime_error(path + ": this policy is for the task '" + header.task +
+                             "', not for '" + task.spec().name + "'; give --task " + header.task +
+                             " or another policy.");
   }
   if (header.observation_names != task.observation().names()) {
-    throw std::runtime_error(path + ": the policy was trained on the observation [" + join(header.observation_names) +
-                             "], the task gives [" + join(task.observation().names()) + "]; use the scenario that it "
+    throw std::runtime_error(path + ": the policy was trained on the observation [" +
+                             join(header.observation_names) + "], the task gives [" +
+                             join(task.observation().names()) +
+                             "]; use the scenario that it "
                              "was trained with.");
   }
   if (header.action_axes != task.spec().action_axes) {
-    throw std::runtime_error(path + ": the policy moves the axes [" + join(header.action_axes) + "], the task [" +
-                             join(task.spec().action_axes) + "]; use the scenario that it was trained with.");
+    throw std::runtime_error(path + ": the policy moves the axes [" + join(header.action_axes) +
+                             "], the task [" + join(task.spec().action_axes) +
+                             "]; use the scenario that it was trained with.");
   }
   if (header.horizon > kMaxHorizon || (horizon > 0 && header.horizon != horizon)) {
     throw std::runtime_error(path + ": the policy's chunks have " + std::to_string(header.horizon) +
-                             " steps; the scenario's method.horizon is " + std::to_string(horizon) + " (at most " +
-                             std::to_string(kMaxHorizon) + ").");
+                             " steps; the scenario's method.horizon is " + std::to_string(horizon) +
+                             " (at most " + std::to_string(kMaxHorizon) + ").");
   }
   return policy;
 }
@@ -82,7 +92,8 @@ PolicyLoader::~PolicyLoader() {
 void PolicyLoader::announce(const policy_announce_t& announcement) {
   std::unique_lock lock(mutex_);
   const auto answered = answered_.find(announcement.version);
-  if (answered != answered_.end() && announced_[announcement.version].sha256 == announcement.sha256) {
+  if (answered != answered_.end() &&
+      announced_[announcement.version].sha256 == announcement.sha256) {
     const policy_ack_t again = answered->second;
     lock.unlock();
     acknowledge_(again);
@@ -100,7 +111,8 @@ int32_t PolicyLoader::put_in_force(int64_t episode, std::chrono::milliseconds ti
   std::unique_lock lock(mutex_);
   wanted_ = episode;
   work_.notify_one();
-  const bool there = done_.wait_for(lock, timeout, [&] { return in_force_.episodes_trained_through == episode; });
+  const bool there =
+      done_.wait_for(lock, timeout, [&] { return in_force_.episodes_trained_through == episode; });
   return there ? in_force_.version : 0;
 }
 
@@ -121,7 +133,8 @@ int64_t PolicyLoader::refused_count() const {
 }
 
 void PolicyLoader::run() {
-  // This thread yields to everything else; a failure to lower its priority changes nothing but that.
+  // This thread yields to everything else; a failure to lower its priority changes nothing but
+  // that.
   setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 5);
   std::unique_lock lock(mutex_);
   while (!stopping_) {
@@ -156,18 +169,21 @@ void PolicyLoader::load(const policy_announce_t& announcement) {
   std::unique_ptr<const policy::Policy> policy;
   const int64_t start_us = monotonic_us();
   try {
-    const std::filesystem::path path = std::filesystem::path(settings_.run_folder) / announcement.path;
+    const std::filesystem::path path =
+        std::filesystem::path(settings_.run_folder) / announcement.path;
     policy = load_policy(path.string(), announcement.sha256, task_, settings_.horizon);
     ack.accepted = 1;
     ack.parity_error = policy->golden_error();
     ack.wall_load_us = static_cast<int32_t>(monotonic_us() - start_us);
 
     policy::Workspace workspace = policy->make_workspace();
-    const std::vector<float> observation(static_cast<size_t>(policy->header().observation_size()), 0.1f);
+    const std::vector<float> observation(static_cast<size_t>(policy->header().observation_size()),
+                                         0.1f);
     std::vector<float> chunk(static_cast<size_t>(policy->header().chunk_size()));
     const int64_t inference_start_us = monotonic_us();
     constexpr int kRuns = 16;
-    for (int i = 0; i < kRuns; ++i) (void)policy->forward(observation.data(), chunk.data(), workspace);
+    for (int i = 0; i < kRuns; ++i)
+      (void)policy->forward(observation.data(), chunk.data(), workspace);
     ack.wall_inference_us = static_cast<int32_t>((monotonic_us() - inference_start_us) / kRuns);
   } catch (const std::exception& error) {
     ack.reason = error.what();

@@ -16,16 +16,20 @@
 
 namespace tandem {
 
-/// Loads and checks a policy for this task: digest, structure, golden examples, observation and action names, horizon.
-/// @param sha256 expected digest of the file, empty to skip. @param horizon what the scenario says, 0 to skip.
+/// Loads and checks a policy for this task: digest, structure, golden examples, observation and
+/// action names, horizon.
+/// @param sha256 expected digest of the file, empty to skip. @param horizon what the scenario says,
+/// 0 to skip.
 /// @throws std::runtime_error with a sentence
-std::unique_ptr<const policy::Policy> load_policy(const std::string& path, const std::string& sha256, const Task& task,
+std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
+                                                  const std::string& sha256, const Task& task,
                                                   int horizon);
 
 /// The loader thread: turns announcements into policies in the slot, at low priority.
 ///
-/// In real time a policy comes into force as soon as it is verified. In lockstep it waits until the control side asks
-/// for exactly the one that was trained through a certain episode, so that a run does not depend on who is faster.
+/// In real time a policy comes into force as soon as it is verified. In lockstep it waits until the
+/// control side asks for exactly the one that was trained through a certain episode, so that a run
+/// does not depend on who is faster.
 class PolicyLoader {
  public:
   struct Settings {
@@ -38,11 +42,13 @@ class PolicyLoader {
                std::function<void(const policy_ack_t&)> acknowledge);
   ~PolicyLoader();
 
-  /// From the network, any thread. A repeated announcement is acknowledged again and otherwise ignored.
+  /// From the network, any thread. A repeated announcement is acknowledged again and otherwise
+  /// ignored.
   void announce(const policy_announce_t& announcement);
 
   /// Lockstep, between episodes: waits until the policy trained through `episode` is in the slot.
-  /// @returns its version, or 0 when `timeout` passed first; refusal() then says whether one was refused.
+  /// @returns its version, or 0 when `timeout` passed first; refusal() then says whether one was
+  /// refused.
   int32_t put_in_force(int64_t episode, std::chrono::milliseconds timeout);
 
   /// The newest announcement of a version; empty fields when unknown.

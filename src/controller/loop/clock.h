@@ -17,9 +17,11 @@ class RealtimeClock {
   /// The next deadline is one period from now.
   void restart() noexcept { deadline_ns_ = monotonic_ns() + kPeriodNs; }
 
-  /// Sleeps until the deadline. @returns how many whole cycles were missed before it could run again.
+  /// Sleeps until the deadline. @returns how many whole cycles were missed before it could run
+  /// again.
   int wait() noexcept {
-    const timespec until{static_cast<time_t>(deadline_ns_ / 1'000'000'000), static_cast<long>(deadline_ns_ % 1'000'000'000)};
+    const timespec until{static_cast<time_t>(deadline_ns_ / 1'000'000'000),
+                         static_cast<long>(deadline_ns_ % 1'000'000'000)};
     clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, nullptr);
     const int64_t late_ns = monotonic_ns() - deadline_ns_;
     board_.wakeup.add_ns(late_ns);
@@ -34,7 +36,8 @@ class RealtimeClock {
   int64_t deadline_ns_ = 0;
 };
 
-/// Asks for SCHED_FIFO and locked memory for the calling thread; says once on stderr what is not allowed and goes on.
+/// Asks for SCHED_FIFO and locked memory for the calling thread; says once on stderr what is not
+/// allowed and goes on.
 void become_realtime(int priority);
 
 }  // namespace tandem

@@ -34,8 +34,9 @@ ControlSettings read_control(Section section) {
   return settings;
 }
 
-ControlLoop::ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task, const ControlSettings& settings,
-                         const ExecutionSettings& execution, SpscRing<Record>& records)
+ControlLoop::ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task,
+                         const ControlSettings& settings, const ExecutionSettings& execution,
+                         SpscRing<Record>& records)
     : robot_(robot),
       model_(model),
       task_(task),
@@ -45,7 +46,8 @@ ControlLoop::ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task, co
       reference_(settings.reference_omega, settings.reference_acceleration),
       executor_(execution, task.axes),
       arbiter_(settings.ramp_in_ticks, settings.ramp_out_ticks),
-      force_filter_gain_(1.0 - std::exp(-2.0 * 3.141592653589793 * settings.force_filter_hz * 0.001)) {}
+      force_filter_gain_(1.0 -
+                         std::exp(-2.0 * 3.141592653589793 * settings.force_filter_hz * 0.001)) {}
 
 void ControlLoop::begin_episode(const EpisodeBegin& episode, bool explore) noexcept {
   episode_ = episode;
@@ -102,7 +104,8 @@ StepSnapshot ControlLoop::begin_step(const SceneTruth& truth, int64_t utime) noe
 }
 
 void ControlLoop::accept(const Chunk& chunk, int64_t observation_tick) noexcept {
-  ChunkRecord taken{observation_tick, static_cast<int64_t>(chunk.start_step) * task_.ticks_per_step, chunk};
+  ChunkRecord taken{observation_tick, static_cast<int64_t>(chunk.start_step) * task_.ticks_per_step,
+                    chunk};
   if (executor_.accept(chunk)) record(taken);
 }
 
@@ -125,8 +128,9 @@ Action ControlLoop::human_action() const noexcept {
 }
 
 void ControlLoop::move_commanded_pose(const Twist& increment) noexcept {
-  // The commanded pose may lead the measured one by the error clip and no more: an increment that would widen a lead
-  // beyond it is cut, so that nothing winds up while the arm is blocked. A lead that is already there is left alone.
+  // The commanded pose may lead the measured one by the error clip and no more: an increment that
+  // would widen a lead beyond it is cut, so that nothing winds up while the arm is blocked. A lead
+  // that is already there is left alone.
   const Twist lead = minus(X_WE_commanded_, arm_.X_WE);
   Twist allowed;
   for (int i = 0; i < 6; ++i) {
@@ -135,7 +139,8 @@ void ControlLoop::move_commanded_pose(const Twist& increment) noexcept {
                                      : std::max(increment[i], std::min(0.0, -clip - lead[i]));
   }
   X_WE_commanded_ = add(X_WE_commanded_, allowed);
-  X_WE_commanded_.p = X_WE_commanded_.p.cwiseMax(task_.workspace_low).cwiseMin(task_.workspace_high);
+  X_WE_commanded_.p =
+      X_WE_commanded_.p.cwiseMax(task_.workspace_low).cwiseMin(task_.workspace_high);
 }
 
 void ControlLoop::tick(int64_t utime) noexcept {

@@ -14,14 +14,15 @@
 
 namespace tandem {
 
-/// The `controller` section of the scenario, apart from the law's gains. See config/controller.yaml for units and reasons.
+/// The `controller` section of the scenario, apart from the law's gains. See config/controller.yaml
+/// for units and reasons.
 struct ControlSettings {
   ImpedanceGains gains;
-  double reference_omega = 0.0;        ///< rad/s
-  Twist reference_acceleration;        ///< m/s^2, rad/s^2
-  double force_filter_hz = 0.0;        ///< cut-off of the wrench that observation and operator see
+  double reference_omega = 0.0;  ///< rad/s
+  Twist reference_acceleration;  ///< m/s^2, rad/s^2
+  double force_filter_hz = 0.0;  ///< cut-off of the wrench that observation and operator see
   int ramp_in_ticks = 1, ramp_out_ticks = 1;
-  MujocoRobotOptions robot;            ///< reflex thresholds
+  MujocoRobotOptions robot;                       ///< reflex thresholds
   int teleop_hold_ms = 0, teleop_release_ms = 0;  ///< real time: age of the human's last word
 };
 
@@ -30,11 +31,13 @@ ControlSettings read_control(Section section);
 
 /// The 1 kHz loop: the way of an action from chunk to torque.
 ///
-///   chunk -> action due -> blend with the human (increments) -> commanded pose (lead and box limits)
+///   chunk -> action due -> blend with the human (increments) -> commanded pose (lead and box
+///   limits)
 ///         -> reference filter -> impedance law -> torque filter -> robot -> record
 ///
-/// The caller owns time: it calls begin_step(), tick() x ticks_per_step, end_step(), and hands chunks and human commands
-/// over in between. Nothing here allocates, locks, logs or throws; a record that finds the ring full is dropped and counted.
+/// The caller owns time: it calls begin_step(), tick() x ticks_per_step, end_step(), and hands
+/// chunks and human commands over in between. Nothing here allocates, locks, logs or throws; a
+/// record that finds the ring full is dropped and counted.
 class ControlLoop {
  public:
   ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task, const ControlSettings& settings,
@@ -43,7 +46,8 @@ class ControlLoop {
   /// Commanded pose, reference and authority start from where the arm is.
   void begin_episode(const EpisodeBegin& episode, bool explore) noexcept;
 
-  /// A policy step begins. @param utime us. The snapshot says whether an inference is due (chunk_id >= 0).
+  /// A policy step begins. @param utime us. The snapshot says whether an inference is due (chunk_id
+  /// >= 0).
   StepSnapshot begin_step(const SceneTruth& truth, int64_t utime) noexcept;
 
   /// A new chunk; its record is kept with the tick at which it took effect.
@@ -52,7 +56,8 @@ class ControlLoop {
   /// The human's latest word. It stays in force until the next.
   void hear(const HumanCommand& command) noexcept;
 
-  /// Nothing was heard from the human for `age_ms` (real time): first his motion is held, then he is taken as gone.
+  /// Nothing was heard from the human for `age_ms` (real time): first his motion is held, then he
+  /// is taken as gone.
   void human_silent(int64_t age_ms) noexcept;
 
   /// One millisecond.

@@ -6,7 +6,8 @@
 
 namespace tandem {
 
-/// Distribution of a duration: 0.2 us wide buckets up to 2 ms, the exact maximum beyond. One thread adds, any thread reads.
+/// Distribution of a duration: 0.2 us wide buckets up to 2 ms, the exact maximum beyond. One thread
+/// adds, any thread reads.
 class Histogram {
  public:
   /// p50, p99, p99.9 and max, us.

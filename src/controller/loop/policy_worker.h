@@ -20,8 +20,8 @@ struct PolicyAnswer {
   Chunk chunk;
 };
 
-/// The policy thread: builds the observation of every step and, when an inference is due, evaluates the policy in force.
-/// Both directions are wait-free for the control thread.
+/// The policy thread: builds the observation of every step and, when an inference is due, evaluates
+/// the policy in force. Both directions are wait-free for the control thread.
 class PolicyWorker {
  public:
   PolicyWorker(const Task& task, policy::PolicySlot& slot);

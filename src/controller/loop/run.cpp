@@ -12,7 +12,7 @@ namespace {
 using std::chrono::milliseconds;
 
 constexpr int kFaultsInARow = 5;
-constexpr int64_t kAskAgainUs = 50'000;            // WORLD_STATE is repeated after this
+constexpr int64_t kAskAgainUs = 50'000;  // WORLD_STATE is repeated after this
 constexpr int64_t kOperatorDeadlineUs = 30'000'000;
 constexpr int64_t kLearnerDeadlineUs = 120'000'000;  // of silence, not of training
 constexpr int64_t kPolicyDeadlineUs = 10'000'000;
@@ -38,7 +38,9 @@ RunSettings read_run(Section section) {
   settings.episodes = static_cast<int>(section.integer("episodes", 1, 1'000'000));
   settings.policy = section.text("policy");
   settings.robot_state_hz = static_cast<int>(section.integer("robot_state_hz", 0, 1000));
-  for (const char* key : {"task", "method", "evaluation_every", "evaluation_episodes", "fresh_episodes"}) section.leave(key);
+  for (const char* key :
+       {"task", "method", "evaluation_every", "evaluation_episodes", "fresh_episodes"})
+    section.leave(key);
   if (settings.mode == RunMode::evaluate && settings.policy.empty()) {
     throw ScenarioError(section.place("policy") + " is empty; mode evaluate needs a policy file.");
   }
@@ -68,8 +70,8 @@ double RunPosition::autonomous_success() const {
 }
 
 Run::Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& model,
-         ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader, SpscRing<Record>& records,
-         StatusBoard& board, RunPosition position)
+         ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader,
+         SpscRing<Record>& records, StatusBoard& board, RunPosition position)
     : settings_(settings),
       task_(task),
       robot_(robot),
@@ -110,7 +112,8 @@ int Run::execute() {
 bool Run::finished() const {
   switch (settings_.mode) {
     case RunMode::train:
-      return position_.demonstrations >= settings_.demonstrations && position_.env_steps >= settings_.env_steps;
+      return position_.demonstrations >= settings_.demonstrations &&
+             position_.env_steps >= settings_.env_steps;
     case RunMode::bench:
       return position_.env_steps >= settings_.env_steps;
     default:
@@ -123,9 +126,12 @@ void Run::episode() {
   EpisodeBegin begin;
   begin.episode = episode_ = position_.next_episode;
   const bool evaluation = settings_.mode == RunMode::evaluate || settings_.mode == RunMode::bench;
-  const bool demonstration = settings_.mode == RunMode::demonstrate ||
-                             (settings_.mode == RunMode::train && position_.demonstrations < settings_.demonstrations);
-  begin.phase = evaluation ? Phase::evaluation : demonstration ? Phase::demonstration : Phase::training;
+  const bool demonstration =
+      settings_.mode == RunMode::demonstrate ||
+      (settings_.mode == RunMode::train && position_.demonstrations < settings_.demonstrations);
+  begin.phase = evaluation      ? Phase::evaluation
+                : demonstration ? Phase::demonstration
+                                : Phase::training;
   // 63 bits: it travels as a signed number.
   begin.episode_seed = Random{settings_.seed, evaluation ? kEvaluationStream : kTrainingStream,
                               static_cast<uint64_t>(begin.episode)}
@@ -145,8 +151,8 @@ void Run::episode() {
   Outcome outcome = run_steps(begin);
   const Fault fault = robot_.state().fault;
   robot_.stop();
-  if (begin.phase == Phase::demonstration && settings_.mode == RunMode::train && outcome != Outcome::success &&
-      outcome != Outcome::fault) {
+  if (begin.phase == Phase::demonstration && settings_.mode == RunMode::train &&
+      outcome != Outcome::success && outcome != Outcome::fault) {
     outcome = Outcome::discard;  // only good demonstrations are learnt from
   }
   loop_.record(EpisodeFinish{utime(), outcome, fault});
@@ -164,24 +170,30 @@ void Run::episode() {
 
   faults_in_a_row_ = outcome == Outcome::fault ? faults_in_a_row_ + 1 : 0;
   if (faults_in_a_row_ >= kFaultsInARow) {
-    throw Failed{std::to_string(kFaultsInARow) + " episodes in a row ended in a robot fault, the last one because " +
+    throw Failed{std::to_string(kFaultsInARow) +
+                 " episodes in a row ended in a robot fault, the last one because " +
                  fault_text(fault) + "; the arm holds still."};
   }
 }
 
 void Run::wait_for_policy(int64_t episode) {
   board_.state = controller_status_t::WAITING;
-  const int64_t through = std::max(episode - 1 - settings_.learner_lag, position_.last_demonstration);
+  const int64_t through =
+      std::max(episode - 1 - settings_.learner_lag, position_.last_demonstration);
   const int64_t start_us = monotonic_us();
   if (!settings_.lockstep) {
     // The first policy is waited for; later ones come into force by themselves at a chunk boundary.
-    if (policy_version_ == 0) board_.wait_for("the learner's first policy (it imitates the demonstrations first)");
+    if (policy_version_ == 0)
+      board_.wait_for("the learner's first policy (it imitates the demonstrations first)");
     while (policy_version_ == 0 && loader_->announcement(1).version == 0) {
       stop_if_asked();
-      if (!loader_->refusal().empty()) throw Failed{"the learner's policy was refused: " + loader_->refusal()};
+      if (!loader_->refusal().empty())
+        throw Failed{"the learner's policy was refused: " + loader_->refusal()};
       const int64_t heard_us = std::max(board_.last_learner_us.load(), start_us);
       if (monotonic_us() - heard_us > kLearnerDeadlineUs) {
-        throw Failed{"the learner has been silent for 120 s; is it running? Its last words are in learner.out."};
+        throw Failed{
+            "the learner has been silent for 120 s; is it running? Its last words are in "
+            "learner.out."};
       }
       std::this_thread::sleep_for(milliseconds(20));
     }
@@ -194,16 +206,22 @@ void Run::wait_for_policy(int64_t episode) {
     board_.wait_for("");
     loop_.record(PolicyInForce{utime(), version});
   };
-  if (const int32_t version = loader_->put_in_force(through, milliseconds(1)); version != 0) return take(version);
+  if (const int32_t version = loader_->put_in_force(through, milliseconds(1)); version != 0)
+    return take(version);
   board_.wait_for("the learner, to have trained on episode " + std::to_string(through));
   for (;;) {
-    if (const int32_t version = loader_->put_in_force(through, milliseconds(100)); version != 0) return take(version);
+    if (const int32_t version = loader_->put_in_force(through, milliseconds(100)); version != 0)
+      return take(version);
     stop_if_asked();
-    if (!loader_->refusal().empty()) throw Failed{"the learner's policy was refused: " + loader_->refusal()};
+    if (!loader_->refusal().empty())
+      throw Failed{"the learner's policy was refused: " + loader_->refusal()};
     const int64_t heard_us = std::max(board_.last_learner_us.load(), start_us);
     if (monotonic_us() - heard_us > kLearnerDeadlineUs) {
-      throw Failed{"the learner has been silent for 120 s while the controller waits for the policy trained through "
-                   "episode " + std::to_string(through) + "; its last words are in learner.out."};
+      throw Failed{
+          "the learner has been silent for 120 s while the controller waits for the policy trained "
+          "through "
+          "episode " +
+          std::to_string(through) + "; its last words are in learner.out."};
     }
   }
 }
@@ -247,7 +265,8 @@ Outcome Run::run_steps(const EpisodeBegin& begin) {
 void Run::start_step(StepSnapshot& snapshot, bool last) {
   snapshot.autonomous_success = position_.autonomous_success();
   if (last) snapshot.chunk_id = -1;
-  if (!worker_.ask(snapshot) && settings_.lockstep) throw Failed{"the policy thread does not answer; this is a bug."};
+  if (!worker_.ask(snapshot) && settings_.lockstep)
+    throw Failed{"the policy thread does not answer; this is a bug."};
   loop_.record(snapshot);
   if (link_ && has_operator() && !last) link_->show_world(snapshot);
   if (settings_.lockstep || last) await_answer(snapshot.step);
@@ -296,7 +315,8 @@ void Run::await_answer(int32_t step) {
     }
     worker_.answered().wait_for(milliseconds(100));
     if (monotonic_us() - start_us > kPolicyDeadlineUs) {
-      throw Failed{"the policy thread has not answered step " + std::to_string(step) + " for 10 s; this is a bug."};
+      throw Failed{"the policy thread has not answered step " + std::to_string(step) +
+                   " for 10 s; this is a bug."};
     }
   }
 }
@@ -306,7 +326,8 @@ void Run::await_human(const StepSnapshot& snapshot) {
   int64_t asked_us = start_us;
   for (;;) {
     while (const HumanCommand* command = link_->human_commands().front()) {
-      const bool this_tick = command->episode_answered == snapshot.episode && command->tick_answered == snapshot.tick;
+      const bool this_tick =
+          command->episode_answered == snapshot.episode && command->tick_answered == snapshot.tick;
       if (this_tick) loop_.hear(*command);
       link_->human_commands().pop();
       if (this_tick) return;
@@ -319,7 +340,9 @@ void Run::await_human(const StepSnapshot& snapshot) {
     link_->show_world(snapshot);
     if (now_us - start_us > 1'000'000) board_.wait_for("the operator, to answer WORLD_STATE");
     if (now_us - start_us > kOperatorDeadlineUs) {
-      throw Failed{"the operator has not answered WORLD_STATE for 30 s; is it running? Its last words are in operator.out."};
+      throw Failed{
+          "the operator has not answered WORLD_STATE for 30 s; is it running? Its last words are "
+          "in operator.out."};
     }
   }
 }
@@ -340,8 +363,10 @@ void Run::poll_partners() {
 
 int64_t Run::utime() const {
   if (!settings_.lockstep) return monotonic_us();
-  // Simulated time: every episode has a slot of its own, so that a resumed run has the stamps of one that never stopped.
-  const int64_t slot_ticks = static_cast<int64_t>(task_.spec().max_steps + 1) * task_.spec().ticks_per_step;
+  // Simulated time: every episode has a slot of its own, so that a resumed run has the stamps of
+  // one that never stopped.
+  const int64_t slot_ticks =
+      static_cast<int64_t>(task_.spec().max_steps + 1) * task_.spec().ticks_per_step;
   return (episode_ * slot_ticks + tick_) * 1000;
 }
 
@@ -351,7 +376,8 @@ void Run::stop_if_asked() const {
 
 void Run::relieve_recorder() const {
   if (!settings_.lockstep) return;
-  while (records_.size() > records_.capacity() / 2) std::this_thread::sleep_for(std::chrono::microseconds(100));
+  while (records_.size() > records_.capacity() / 2)
+    std::this_thread::sleep_for(std::chrono::microseconds(100));
 }
 
 }  // namespace tandem

@@ -22,11 +22,11 @@ struct RunSettings {
   RunMode mode = RunMode::train;
   uint64_t seed = 0;
   bool lockstep = true;
-  int demonstrations = 0;     ///< successful ones to collect before training
-  int64_t env_steps = 0;      ///< training steps until the end
-  int learner_lag = 1;        ///< episodes that the learner may be behind (lockstep)
-  int episodes = 0;           ///< modes evaluate and demonstrate
-  std::string policy;         ///< mode evaluate
+  int demonstrations = 0;  ///< successful ones to collect before training
+  int64_t env_steps = 0;   ///< training steps until the end
+  int learner_lag = 1;     ///< episodes that the learner may be behind (lockstep)
+  int episodes = 0;        ///< modes evaluate and demonstrate
+  std::string policy;      ///< mode evaluate
   int robot_state_hz = 100;
 };
 
@@ -45,16 +45,17 @@ struct RunPosition {
   double autonomous_success() const;
 };
 
-/// The control thread's programme: which episode comes next, under which policy, in which phase; and within an episode,
-/// what is waited for (lockstep) or polled (real time) around the ticks.
+/// The control thread's programme: which episode comes next, under which policy, in which phase;
+/// and within an episode, what is waited for (lockstep) or polled (real time) around the ticks.
 class Run {
  public:
   /// @param link,loader null where the mode has no partner.
   Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& model,
-      ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader, SpscRing<Record>& records,
-      StatusBoard& board, RunPosition position);
+      ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader,
+      SpscRing<Record>& records, StatusBoard& board, RunPosition position);
 
-  /// Runs to the end. @returns the process's exit code: 0 finished, 3 fault (sentence on stderr), 130 stopped.
+  /// Runs to the end. @returns the process's exit code: 0 finished, 3 fault (sentence on stderr),
+  /// 130 stopped.
   int execute();
 
  private:
@@ -73,7 +74,9 @@ class Run {
   void await_human(const StepSnapshot& snapshot);
   void poll_partners();
   void take_answer(const PolicyAnswer& answer);
-  bool has_operator() const { return settings_.mode == RunMode::train || settings_.mode == RunMode::demonstrate; }
+  bool has_operator() const {
+    return settings_.mode == RunMode::train || settings_.mode == RunMode::demonstrate;
+  }
   int64_t utime() const;
   void stop_if_asked() const;
   void relieve_recorder() const;

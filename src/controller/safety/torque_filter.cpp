@@ -8,7 +8,8 @@ JointVector TorqueFilter::torque_limit() noexcept {
   return limit;
 }
 
-JointVector TorqueFilter::limit(const JointVector& requested, const JointVector& previous) noexcept {
+JointVector TorqueFilter::limit(const JointVector& requested,
+                                const JointVector& previous) noexcept {
   JointVector tau = requested;
   if (!tau.allFinite()) {
     tau.setZero();

@@ -10,7 +10,8 @@ namespace {
 // Groups of six (translation x y z, rotation x y z) in the order in which write() fills its table.
 constexpr const char* kGroups[] = {"tool_", "twist_", "lead_", "wrench", "goal_", "goal_fine_"};
 constexpr const char* kAxes[] = {"x", "y", "z", "rx", "ry", "rz"};
-constexpr const char* kWrench[] = {"force_x", "force_y", "force_z", "moment_x", "moment_y", "moment_z"};
+constexpr const char* kWrench[] = {"force_x",  "force_y",  "force_z",
+                                   "moment_x", "moment_y", "moment_z"};
 
 std::vector<std::string> all_terms() {
   std::vector<std::string> names;
@@ -36,8 +37,8 @@ Observation::Observation(Section& task, const Pose& X_W_origin, const Pose& X_EO
   for (const std::string& name : names_) {
     const auto found = std::find(known.begin(), known.end(), name);
     if (found == known.end()) {
-      throw ScenarioError(task.place("observation") + " names '" + name + "', which is unknown. Did you mean '" +
-                          nearest_name(name, known) + "'?");
+      throw ScenarioError(task.place("observation") + " names '" + name +
+                          "', which is unknown. Did you mean '" + nearest_name(name, known) + "'?");
     }
     terms_.push_back(static_cast<int>(found - known.begin()));
   }
@@ -60,7 +61,8 @@ void Observation::write(const StepSnapshot& s, float* out) const noexcept {
   for (int i = 3; i < 6; ++i) error[i] = bias.normal(bias_rad_) + jitter.normal(jitter_rad_);
   const Pose goal = add(s.truth.X_WG, error);
 
-  // The goal's z points out of it, the object's z into it: compare after turning the goal about its x axis.
+  // The goal's z points out of it, the object's z into it: compare after turning the goal about its
+  // x axis.
   const Pose turned{goal.p, goal.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0)};
   const Twist relative = minus(turned, s.X_WE * X_EO_nominal_);
 

@@ -10,17 +10,19 @@ namespace tandem {
 
 inline constexpr int kMaxObservation = 64;
 
-/// What the policy is told about the world: a list of named numbers, chosen and ordered by the scenario.
+/// What the policy is told about the world: a list of named numbers, chosen and ordered by the
+/// scenario.
 ///
 ///   tool_{x,y,z,rx,ry,rz}    tool pose relative to the task's origin, m and rad
 ///   twist_{...}              velocity of the tool, m/s and rad/s
-///   lead_{...}               commanded minus measured pose: how hard the arm is pushing already, m and rad
-///   force_{x,y,z}, moment_{x,y,z}   filtered external wrench on the tool, N and N m
+///   lead_{...}               commanded minus measured pose: how hard the arm is pushing already, m
+///   and rad force_{x,y,z}, moment_{x,y,z}   filtered external wrench on the tool, N and N m
 ///   goal_{...}               estimated goal pose minus nominal object pose, m and rad
 ///   goal_fine_{...}          the same, clipped to +-fine range and scaled to [-1, 1]
 ///   gripper                  distance between the finger tips, m
-/// All in base axes. The goal estimate is the truth plus a bias drawn once per episode and a jitter drawn every step; the
-/// object is where a perfect grasp would have it, so the in-hand error stays hidden, as on a real arm.
+/// All in base axes. The goal estimate is the truth plus a bias drawn once per episode and a jitter
+/// drawn every step; the object is where a perfect grasp would have it, so the in-hand error stays
+/// hidden, as on a real arm.
 class Observation {
  public:
   /// Reads `observation` (names) and `observation_noise` of the task section. @throws ScenarioError

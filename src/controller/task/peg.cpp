@@ -33,7 +33,13 @@ Twist PegTask::Spread::draw(Random& random) const {
 }
 
 PegTask::PegTask(Section& section) : Task(section) {
-  clearance_m_ = section.number("clearance_m", 0.00005, 0.002);
+  const std::string difficulty = section.choice("difficulty", {"normal", "hard"});
+  Section clearance = section.section("clearance_m");
+  for (const char* name : {"normal", "hard"}) {
+    const double value = clearance.number(name, 0.00005, 0.002);
+    if (name == difficulty) clearance_m_ = value;
+  }
+  clearance.finish();
   success_depth_m_ = section.number("success_depth_m", 0.001, 0.0299);
   gripper_width_m_ = section.number("gripper_width_m", 0.0, 0.08);
   const std::vector<double> center = section.numbers("hole_center_m", 3, -1.0, 1.0);
@@ -65,7 +71,8 @@ void PegTask::reset(MujocoRobot& robot, ArmModel& arm, uint64_t episode_seed) {
 
   simulation.place_body(hole_body_, add(X_WG_nominal_, hole_.draw(random)));
 
-  // In-hand error: the peg sits off centre, turned and tilted between the fingers; the policy is not told.
+  // In-hand error: the peg sits off centre, turned and tilted between the fingers; the policy is
+  // not told.
   Twist error = in_hand_.draw(random);
   error[3] = random.uniform(-tilt_rad_, tilt_rad_);
   error[4] = random.uniform(-tilt_rad_, tilt_rad_);
@@ -83,7 +90,8 @@ SceneTruth PegTask::truth(const Simulation& simulation) const noexcept {
 bool PegTask::succeeded(const SceneTruth& truth) const noexcept {
   const Pose X_GO = inverse(truth.X_WG) * truth.X_WO;
   const double side = clearance_m_ + 0.001;
-  return -X_GO.p.z() >= success_depth_m_ && std::abs(X_GO.p.x()) <= side && std::abs(X_GO.p.y()) <= side;
+  return -X_GO.p.z() >= success_depth_m_ && std::abs(X_GO.p.x()) <= side &&
+         std::abs(X_GO.p.y()) <= side;
 }
 
 }  // namespace tandem

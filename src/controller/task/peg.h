@@ -7,8 +7,8 @@ namespace tandem {
 
 /// Square peg in the gripper, square hole in a block that stands elsewhere at every reset.
 ///
-/// Hidden from the policy: the in-hand error and the bias of the hole's estimate. Success: the tip is `success_depth_m`
-/// below the rim, inside the hole.
+/// Hidden from the policy: the in-hand error and the bias of the hole's estimate. Success: the tip
+/// is `success_depth_m` below the rim, inside the hole.
 class PegTask final : public Task {
  public:
   explicit PegTask(Section& section);
@@ -27,8 +27,8 @@ class PegTask final : public Task {
   static Spread read_spread(Section section);
 
   double clearance_m_, success_depth_m_, gripper_width_m_, tilt_rad_;
-  Pose X_WG_nominal_;   // the hole when nothing is random
-  Pose X_EO_nominal_;   // the tip of a peg that is grasped perfectly
+  Pose X_WG_nominal_;  // the hole when nothing is random
+  Pose X_EO_nominal_;  // the tip of a peg that is grasped perfectly
   Spread hole_, start_, in_hand_;
   int peg_body_ = -1, hole_body_ = -1, tip_site_ = -1, rim_site_ = -1;
 };

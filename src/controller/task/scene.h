@@ -4,7 +4,8 @@
 
 namespace tandem {
 
-/// Demonstration: the human does it all; training: he helps; evaluation: nobody helps. Values as in world_state_t.
+/// Demonstration: the human does it all; training: he helps; evaluation: nobody helps. Values as in
+/// world_state_t.
 enum class Phase : int8_t { demonstration = 0, training = 1, evaluation = 2 };
 
 /// How an episode ended. Values as in episode_end_t.
@@ -18,7 +19,7 @@ struct SceneTruth {
 
 /// Everything that is known when a policy step begins. Control thread -> policy, link and recorder.
 struct StepSnapshot {
-  int64_t utime = 0;             ///< us
+  int64_t utime = 0;  ///< us
   int64_t episode = 0;
   int64_t tick = 0;
   int32_t step = 0;
@@ -30,7 +31,7 @@ struct StepSnapshot {
   Wrench F_ext_W = Wrench::Zero();  ///< filtered
   double gripper_width = 0.0;       ///< m
   SceneTruth truth;
-  int32_t chunk_id = -1;            ///< of the inference to make; -1: observe only
+  int32_t chunk_id = -1;  ///< of the inference to make; -1: observe only
 };
 
 }  // namespace tandem

@@ -20,9 +20,11 @@ struct TaskSpec {
   int max_steps = 0;                     ///< policy steps until time-out
   std::vector<std::string> action_axes;  ///< active ones of x y z rx ry rz gripper
   Action axes = Action::Zero();          ///< 1 = active, 0 = masked
-  Twist action_limit = Twist::Zero();    ///< m, rad per policy step at |action| = 1; 0 for masked axes
-  Eigen::Vector3d workspace_low, workspace_high;  ///< m, box that the commanded tool position stays in
-  Pose X_W_origin;                       ///< where the tool starts when nothing is random
+  Twist action_limit =
+      Twist::Zero();  ///< m, rad per policy step at |action| = 1; 0 for masked axes
+  Eigen::Vector3d workspace_low,
+      workspace_high;  ///< m, box that the commanded tool position stays in
+  Pose X_W_origin;     ///< where the tool starts when nothing is random
 };
 
 /// A task: scene, reset distribution, success test. Adding one touches models/ and one file here.
@@ -33,10 +35,12 @@ class Task {
   const TaskSpec& spec() const noexcept { return spec_; }
   const Observation& observation() const noexcept { return *observation_; }
 
-  /// Looks the scene's parts up and shapes them. Call once, before anything else. @throws std::runtime_error
+  /// Looks the scene's parts up and shapes them. Call once, before anything else. @throws
+  /// std::runtime_error
   virtual void attach(Simulation& simulation) = 0;
 
-  /// Draws an episode from its seed and puts arm and scene there. Not real-time. @throws std::runtime_error
+  /// Draws an episode from its seed and puts arm and scene there. Not real-time. @throws
+  /// std::runtime_error
   virtual void reset(MujocoRobot& robot, ArmModel& arm, uint64_t episode_seed) = 0;
 
   /// Where the object and the goal are now. Real-time.

@@ -90,7 +90,8 @@ TEST(ChunkExecutor, InvalidatedChunkHolds) {
 TEST(ChunkExecutor, NoiseIsSeededBoundedAndLeavesMaskAndGripperAlone) {
   Action axes = kAllAxes;
   axes[3] = 0.0;
-  ChunkExecutor a = executor(ExecutionMode::open_loop, 4, axes), b = executor(ExecutionMode::open_loop, 4, axes);
+  ChunkExecutor a = executor(ExecutionMode::open_loop, 4, axes),
+                b = executor(ExecutionMode::open_loop, 4, axes);
   ChunkExecutor silent = executor(ExecutionMode::open_loop, 4, axes);
   a.begin_episode(11, true);
   b.begin_episode(11, true);

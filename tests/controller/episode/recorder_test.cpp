@@ -13,8 +13,10 @@ namespace {
 constexpr int kObservation = 2;
 
 /// Pushes an episode of `n` steps as the control thread would; observation of step t is (t, 10 t).
-void push_episode(SpscRing<Record>& ring, int64_t number, int n, Outcome outcome, int human_from = 1000) {
-  ring.push(EpisodeBegin{.episode = number, .episode_seed = 5, .phase = Phase::training, .policy_version = 3});
+void push_episode(SpscRing<Record>& ring, int64_t number, int n, Outcome outcome,
+                  int human_from = 1000) {
+  ring.push(EpisodeBegin{
+      .episode = number, .episode_seed = 5, .phase = Phase::training, .policy_version = 3});
   for (int t = 0; t <= n; ++t) {
     ObservationRecord observation{.step = t};
     observation.values[0] = static_cast<float>(t);
@@ -32,8 +34,8 @@ void push_episode(SpscRing<Record>& ring, int64_t number, int n, Outcome outcome
   ring.push(EpisodeFinish{.utime = 1, .outcome = outcome});
 }
 
-std::vector<std::shared_ptr<const FinishedEpisode>> record(const std::function<void(SpscRing<Record>&)>& push,
-                                                           EventLog* log = nullptr) {
+std::vector<std::shared_ptr<const FinishedEpisode>> record(
+    const std::function<void(SpscRing<Record>&)>& push, EventLog* log = nullptr) {
   std::vector<std::shared_ptr<const FinishedEpisode>> episodes;
   SpscRing<Record> ring(512);
   StatusBoard board;
@@ -68,7 +70,8 @@ TEST(Recorder, TerminatedAndTruncatedAreKeptApart) {
     push_episode(ring, 0, 3, Outcome::success);
     push_episode(ring, 1, 2, Outcome::timeout);
   });
-  const episode_step_t success = decode(episodes[0]->steps.back()), timeout = decode(episodes[1]->steps.back());
+  const episode_step_t success = decode(episodes[0]->steps.back()),
+                       timeout = decode(episodes[1]->steps.back());
   EXPECT_EQ(success.terminated, 1);
   EXPECT_EQ(success.truncated, 0);
   EXPECT_EQ(success.reward, 1.0f);

@@ -5,8 +5,8 @@
 #include <fstream>
 #include <random>
 
-#include "support/allocation_counter.h"
 #include "controller/robot/scenes.h"
+#include "support/allocation_counter.h"
 
 namespace tandem {
 namespace {

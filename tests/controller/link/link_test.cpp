@@ -11,7 +11,9 @@ namespace {
 using std::chrono::milliseconds;
 
 /// A network of its own per process, on loopback.
-std::string url() { return "udpm://239.255.76.67:" + std::to_string(20'000 + getpid() % 20'000) + "?ttl=0"; }
+std::string url() {
+  return "udpm://239.255.76.67:" + std::to_string(20'000 + getpid() % 20'000) + "?ttl=0";
+}
 
 bool eventually(const std::function<bool()>& condition) {
   for (int i = 0; i < 300; ++i) {

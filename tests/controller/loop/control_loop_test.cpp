@@ -18,7 +18,8 @@ TEST(ControlLoop, TenThousandTicksDoNotAllocate) {
   const testing::AllocationCounter allocations;
   for (int step = 0; step < 100; ++step) {
     const StepSnapshot snapshot = rig.begin_step();
-    // New chunks, hand-overs in both directions, contact with the block: everything that the loop does.
+    // New chunks, hand-overs in both directions, contact with the block: everything that the loop
+    // does.
     if (snapshot.chunk_id >= 0) {
       Action action = Action::Zero();
       for (int i = 0; i < 3; ++i) action[i] = random.uniform(-1, 1);
@@ -42,7 +43,8 @@ TEST(ControlLoop, ArmStandsStillWithoutAChunk) {
     EXPECT_TRUE(record.executed.head<6>().isZero());
     rig.begin_step();
   }
-  EXPECT_LT(minus(rig.loop.arm().X_WE, start).norm(), 5e-4);  // m, rad; what the posture task leaks while it settles
+  EXPECT_LT(minus(rig.loop.arm().X_WE, start).norm(),
+            5e-4);  // m, rad; what the posture task leaks while it settles
 }
 
 TEST(ControlLoop, ExecutedActionIsTheAskedOneInFreeSpace) {
@@ -52,7 +54,8 @@ TEST(ControlLoop, ExecutedActionIsTheAskedOneInFreeSpace) {
   asked << 0.4, -0.3, 0.5, 0.0, 0.0, 0.2, 0.0;
   for (int step = 0; step < 4; ++step) {
     const StepSnapshot snapshot = rig.begin_step();
-    if (snapshot.chunk_id >= 0) rig.loop.accept(Rig::constant_chunk(snapshot.chunk_id, step, asked), snapshot.tick);
+    if (snapshot.chunk_id >= 0)
+      rig.loop.accept(Rig::constant_chunk(snapshot.chunk_id, step, asked), snapshot.tick);
     const StepRecord record = rig.run_step();
     EXPECT_LT((record.executed.head<6>() - asked.head<6>()).cwiseAbs().maxCoeff(), 1e-9);
     EXPECT_EQ(record.chunk_index, step);
@@ -91,7 +94,8 @@ TEST(ControlLoop, StaticContactForceStaysBelowTheBound) {
   EXPECT_GT(force, 0.5 * bound);         // it does press
   EXPECT_LT(force, 1.05 * bound + 0.5);  // and never harder than it says
   // The commanded pose does not wind up while the arm is blocked.
-  EXPECT_LE(std::abs(minus(rig.loop.commanded_pose(), rig.loop.arm().X_WE)[2]), rig.control.gains.error_clip[2] + 1e-3);
+  EXPECT_LE(std::abs(minus(rig.loop.commanded_pose(), rig.loop.arm().X_WE)[2]),
+            rig.control.gains.error_clip[2] + 1e-3);
 }
 
 TEST(ControlLoop, HandOversJumpNeitherPoseNorTorque) {

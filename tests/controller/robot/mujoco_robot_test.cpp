@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "support/allocation_counter.h"
 #include "controller/robot/scenes.h"
+#include "support/allocation_counter.h"
 
 namespace tandem {
 namespace {

@@ -4,9 +4,9 @@
 
 #include <functional>
 
-#include "support/allocation_counter.h"
 #include "controller/robot/hole.h"
 #include "controller/robot/scenes.h"
+#include "support/allocation_counter.h"
 
 namespace tandem {
 namespace {

@@ -6,8 +6,8 @@
 #include <new>
 #include <random>
 
-#include "support/allocation_counter.h"
 #include "policy_runtime/policy_file.h"
+#include "support/allocation_counter.h"
 
 namespace tandem::policy::testing {
 namespace {
