@@ -3,7 +3,7 @@
 # stderr: stdout belongs to the command. Logs of the steps: .setup/STEP.log.
 
 setup_dir=.setup
-extras_needed=no  # gym-hil: `bench sim` requires it, `demo` only looks better with it
+extras_needed=no  # gym-hil: `bench sim` requires it, the videos of `train` and `demo` only look better with it
 
 say() { printf 'tandem: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
@@ -111,7 +111,7 @@ setup_venv() {
   write_stamp venv "$stamp"
 }
 
-# gym-hil: a failure stops `bench sim`, and only costs `demo` its meshes.
+# gym-hil: a failure stops `bench sim`, and only costs videos their meshes.
 setup_extras() {
   local stamp
   stamp=$(stamp_of requirements-extras.txt requirements.txt)
@@ -184,7 +184,7 @@ setup_loopback() {
 setup_all() {
   case "${1:-} ${2:-}" in
     "bench sim") extras_needed=required ;;
-    "demo "*) extras_needed=wanted ;;
+    "train "* | "demo "*) extras_needed=wanted ;;
   esac
   for word in "$@"; do
     case "$word" in --help | -h) extras_needed=no ;; esac

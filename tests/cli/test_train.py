@@ -164,8 +164,9 @@ def test_ctrl_c_ends_in_order_and_the_same_command_resumes(
 ) -> None:
     run = tmp_path / "run"
     for attempt in (1, 2):
+        before = len(list((run / "checkpoints").glob("*")))
         process = start(config, run)
-        wait_for(lambda n=2 * attempt: len(list((run / "checkpoints").glob("*"))) >= n, process)
+        wait_for(lambda n=before: len(list((run / "checkpoints").glob("*"))) >= n + 2, process)
         process.send_signal(signal.SIGINT)
         out, error = process.communicate(timeout=20)
         assert process.returncode == 130, error

@@ -76,6 +76,7 @@ PolicyLoader::PolicyLoader(policy::PolicySlot& slot, const Task& task, Settings 
       task_(task),
       settings_(std::move(settings)),
       acknowledge_(std::move(acknowledge)) {
+  in_force_.version = 0;
   in_force_.episodes_trained_through = kNothing;
   thread_ = std::thread([this] { run(); });
 }
@@ -114,6 +115,11 @@ int32_t PolicyLoader::put_in_force(int64_t episode, std::chrono::milliseconds ti
   const bool there =
       done_.wait_for(lock, timeout, [&] { return in_force_.episodes_trained_through == episode; });
   return there ? in_force_.version : 0;
+}
+
+int32_t PolicyLoader::version_in_force() const {
+  const std::lock_guard lock(mutex_);
+  return in_force_.version;
 }
 
 policy_announce_t PolicyLoader::announcement(int32_t version) const {
@@ -200,6 +206,7 @@ void PolicyLoader::load(const policy_announce_t& announcement) {
       ready_[announcement.episodes_trained_through] = {announcement, std::move(policy)};
     } else {
       slot_.publish(std::move(policy));
+      in_force_ = announcement;
     }
   }
   acknowledge_(ack);

@@ -51,6 +51,9 @@ class PolicyLoader {
   /// refused.
   int32_t put_in_force(int64_t episode, std::chrono::milliseconds timeout);
 
+  /// Version that was put in the slot last, 0 = none yet.
+  int32_t version_in_force() const;
+
   /// The newest announcement of a version; empty fields when unknown.
   policy_announce_t announcement(int32_t version) const;
 
@@ -79,7 +82,7 @@ class PolicyLoader {
   std::map<int32_t, policy_ack_t> answered_;
   std::map<int64_t, Loaded> ready_;  // by episodes_trained_through
   int64_t wanted_ = kNothing;        // episodes_trained_through that the control side asks for
-  policy_announce_t in_force_;       // of what was put in the slot last (lockstep)
+  policy_announce_t in_force_;       // of what was put in the slot last
   std::string refusal_;
   int64_t refused_count_ = 0;
   bool stopping_ = false;

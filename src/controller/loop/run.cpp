@@ -185,7 +185,7 @@ void Run::wait_for_policy(int64_t episode) {
     // The first policy is waited for; later ones come into force by themselves at a chunk boundary.
     if (policy_version_ == 0)
       board_.wait_for("the learner's first policy (it imitates the demonstrations first)");
-    while (policy_version_ == 0 && loader_->announcement(1).version == 0) {
+    while (policy_version_ == 0 && loader_->version_in_force() == 0) {
       stop_if_asked();
       if (!loader_->refusal().empty())
         throw Failed{"the learner's policy was refused: " + loader_->refusal()};
@@ -233,6 +233,7 @@ Outcome Run::run_steps(const EpisodeBegin& begin) {
   n_steps_ = 0;
   intervened_ = false;
   Outcome outcome = Outcome::timeout;
+  const int64_t not_finite_before = loop_.not_finite_count();
   clock_.restart();
   for (int32_t step = 0; step < task_.spec().max_steps; ++step) {
     StepSnapshot snapshot = loop_.begin_step(task_.truth(robot_.simulation()), utime());
@@ -241,7 +242,7 @@ Outcome Run::run_steps(const EpisodeBegin& begin) {
     intervened_ |= loop_.end_step().intervention;
     ++n_steps_;
 
-    if (robot_.state().fault != Fault::none || loop_.not_finite_count() > 0) {
+    if (robot_.state().fault != Fault::none || loop_.not_finite_count() > not_finite_before) {
       outcome = Outcome::fault;
       break;
     }
@@ -328,7 +329,11 @@ void Run::await_human(const StepSnapshot& snapshot) {
     while (const HumanCommand* command = link_->human_commands().front()) {
       const bool this_tick =
           command->episode_answered == snapshot.episode && command->tick_answered == snapshot.tick;
-      if (this_tick) loop_.hear(*command);
+      if (this_tick) {
+        loop_.hear(*command);
+      } else {
+        ++board_.teleop_rejected;  // an answer to an earlier tick, or to none
+      }
       link_->human_commands().pop();
       if (this_tick) return;
     }

@@ -28,7 +28,7 @@ void take_scenario(const scenario_t& message, const std::string& path, Recording
     const YAML::Node task = YAML::Load(message.scenario_yaml)["task"];
     recording.scene = task["scene"].as<std::string>();
     if (const YAML::Node clearance = task["clearance_m"])
-      recording.clearance = clearance.as<double>();
+      recording.clearance = clearance[task["difficulty"].as<std::string>()].as<double>();
   } catch (const YAML::Exception& error) {
     throw std::runtime_error(path + ": the scenario in the log names no task.scene (" +
                              error.what() + ").");

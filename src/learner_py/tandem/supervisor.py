@@ -201,19 +201,15 @@ class _Supervisor:
                 load_scenario(self.folder.scenario)
             except ScenarioError as error:
                 raise TrainingError(self.scenario.explain(str(error)), exit_code=2) from None
-        command: processes.Command = [
-            program("tandem_controller"),
-            "--scenario",
-            self.folder.scenario,
-            "--check",
-        ]
-        if sentence := processes.missing_program(command):
-            raise TrainingError(sentence)
-        check = Child("check of the scenario", command, self.folder.path / "check.out")
-        if check.wait(30.0) != 0:
-            raise TrainingError(
-                self.scenario.explain("\n".join(check.last_lines()) or check.death()), exit_code=2
-            )
+        for name in ("tandem_controller", "tandem_operator"):
+            command: processes.Command = [program(name), "--scenario", self.folder.scenario, "--check"]
+            if sentence := processes.missing_program(command):
+                raise TrainingError(sentence)
+            check = Child("check of the scenario", command, self.folder.path / "check.out")
+            if check.wait(30.0) != 0:
+                raise TrainingError(
+                    self.scenario.explain("\n".join(check.last_lines()) or check.death()), exit_code=2
+                )
 
     def _trained(self) -> bool:
         """True when an earlier call trained to the end and only the final evaluation is left."""

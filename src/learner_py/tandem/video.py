@@ -1,6 +1,5 @@
 """Videos of episodes, drawn offline from an event log by tandem_render."""
 
-import importlib.util
 import os
 import time
 from collections.abc import Callable
@@ -57,8 +56,6 @@ def of_log(
     if sentence := processes.missing_program(command):
         raise EvaluationError(sentence)
     environment = {"EGL_PLATFORM": os.environ.get("EGL_PLATFORM", "surfaceless")}
-    if meshes := panda_meshes():
-        environment["TANDEM_PANDA_ASSETS"] = str(meshes)
     render = Child("renderer", command, output, environment=environment)
     try:
         while render.poll() is None:
@@ -68,15 +65,3 @@ def of_log(
         partial.replace(out)
     finally:
         render.stop(5.0)
-
-
-def panda_meshes() -> Path | None:
-    """The folder of gym-hil's Franka meshes (looks only), None without gym-hil."""
-    try:
-        spec = importlib.util.find_spec("gym_hil")
-    except (ImportError, ValueError):
-        return None
-    if spec is None or spec.origin is None:
-        return None
-    folder = Path(spec.origin).parent / "assets" / "franka_emika_panda"
-    return folder if folder.is_dir() else None

@@ -67,9 +67,10 @@ TEST_F(LinkTest, EpisodeIsSentUntilAcknowledgedAndAgainOnRequest) {
   std::atomic<int> ends{0}, steps{0};
   peer_.subscribe<episode_end_t>("EPISODE_END", [&](const lcm::ReceiveBuffer*, const std::string&,
                                                     const episode_end_t*) { ++ends; });
-  const std::function<void(const lcm::ReceiveBuffer*, const std::string&)> count_step =
-      [&](const lcm::ReceiveBuffer*, const std::string&) { ++steps; };
-  peer_.subscribe("EPISODE_STEP", count_step);
+  peer_.subscribeFunction(
+      "EPISODE_STEP",
+      +[](const lcm::ReceiveBuffer*, const std::string&, std::atomic<int>* count) { ++*count; },
+      &steps);
   std::atomic<bool> done{false};
   std::thread listener([&] {
     while (!done) peer_.handleTimeout(20);
