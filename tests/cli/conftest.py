@@ -21,6 +21,7 @@ learner_lag: 1
 evaluation_every: 20
 evaluation_episodes: 10
 fresh_episodes: 12
+video_episodes: 2
 episodes: 5
 policy: ""
 robot_state_hz: 100

@@ -20,6 +20,7 @@ SMALL = {
     "run.evaluation_every": 100,
     "run.evaluation_episodes": 2,
     "run.fresh_episodes": 2,
+    "run.video_episodes": 0,
     "method.learner.warm_start_updates": 20,
     "method.learner.updates_per_env_step": 1,
 }

@@ -16,58 +16,11 @@ constexpr int64_t kAskAgainUs = 50'000;  // WORLD_STATE is repeated after this
 constexpr int64_t kOperatorDeadlineUs = 30'000'000;
 constexpr int64_t kLearnerDeadlineUs = 120'000'000;  // of silence, not of training
 constexpr int64_t kPolicyDeadlineUs = 10'000'000;
-constexpr size_t kRecentEpisodes = 20;
 
 // Streams of episode seeds; evaluation never meets an episode of training, whatever the seeds.
 constexpr uint64_t kTrainingStream = 1, kEvaluationStream = 2;
 
 }  // namespace
-
-RunSettings read_run(Section section) {
-  RunSettings settings;
-  const std::string mode = section.choice("mode", {"train", "evaluate", "demonstrate", "bench"});
-  settings.mode = mode == "train"         ? RunMode::train
-                  : mode == "evaluate"    ? RunMode::evaluate
-                  : mode == "demonstrate" ? RunMode::demonstrate
-                                          : RunMode::bench;
-  settings.seed = static_cast<uint64_t>(section.integer("seed", 0, 1'000'000'000));
-  settings.lockstep = section.choice("clock", {"lockstep", "realtime"}) == "lockstep";
-  settings.demonstrations = static_cast<int>(section.integer("demonstrations", 0, 10'000));
-  settings.env_steps = section.integer("env_steps", 1, 1'000'000'000);
-  settings.learner_lag = static_cast<int>(section.integer("learner_lag", 0, 100));
-  settings.episodes = static_cast<int>(section.integer("episodes", 1, 1'000'000));
-  settings.policy = section.text("policy");
-  settings.robot_state_hz = static_cast<int>(section.integer("robot_state_hz", 0, 1000));
-  for (const char* key :
-       {"task", "method", "evaluation_every", "evaluation_episodes", "fresh_episodes"})
-    section.leave(key);
-  if (settings.mode == RunMode::evaluate && settings.policy.empty()) {
-    throw ScenarioError(section.place("policy") + " is empty; mode evaluate needs a policy file.");
-  }
-  section.finish();
-  return settings;
-}
-
-void RunPosition::add(const episode_end_t& end) {
-  next_episode = end.episode + 1;
-  env_steps = end.env_steps_total;
-  const bool success = end.outcome == episode_end_t::SUCCESS;
-  if (end.phase == world_state_t::DEMONSTRATION && success) {
-    ++demonstrations;
-    last_demonstration = end.episode;
-  }
-  if (end.phase == world_state_t::TRAINING) {
-    helpless.push_back(success && end.n_intervention_steps == 0);
-    if (helpless.size() > kRecentEpisodes) helpless.pop_front();
-  }
-}
-
-double RunPosition::autonomous_success() const {
-  if (helpless.empty()) return 0.0;
-  int successes = 0;
-  for (const bool success : helpless) successes += success ? 1 : 0;
-  return static_cast<double>(successes) / static_cast<double>(helpless.size());
-}
 
 Run::Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& model,
          ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader,
@@ -181,48 +134,31 @@ void Run::wait_for_policy(int64_t episode) {
   const int64_t through =
       std::max(episode - 1 - settings_.learner_lag, position_.last_demonstration);
   const int64_t start_us = monotonic_us();
-  if (!settings_.lockstep) {
-    // The first policy is waited for; later ones come into force by themselves at a chunk boundary.
-    if (policy_version_ == 0)
-      board_.wait_for("the learner's first policy (it imitates the demonstrations first)");
-    while (policy_version_ == 0 && loader_->version_in_force() == 0) {
-      stop_if_asked();
-      if (!loader_->refusal().empty())
-        throw Failed{"the learner's policy was refused: " + loader_->refusal()};
-      const int64_t heard_us = std::max(board_.last_learner_us.load(), start_us);
-      if (monotonic_us() - heard_us > kLearnerDeadlineUs) {
-        throw Failed{
-            "the learner has been silent for 120 s; is it running? Its last words are in "
-            "learner.out."};
-      }
-      std::this_thread::sleep_for(milliseconds(20));
-    }
-    board_.wait_for("");
-    return;
-  }
-  const auto take = [&](int32_t version) {
-    policy_version_ = version;
-    board_.policy_version = version;
-    board_.wait_for("");
-    loop_.record(PolicyInForce{utime(), version});
-  };
-  if (const int32_t version = loader_->put_in_force(through, milliseconds(1)); version != 0)
-    return take(version);
-  board_.wait_for("the learner, to have trained on episode " + std::to_string(through));
   for (;;) {
-    if (const int32_t version = loader_->put_in_force(through, milliseconds(100)); version != 0)
-      return take(version);
+    // In real time any policy will do: later ones come into force at a chunk boundary by
+    // themselves.
+    const int32_t version = settings_.lockstep ? loader_->put_in_force(through, milliseconds(20))
+                                               : loader_->version_in_force();
+    if (version != 0) {
+      board_.wait_for("");
+      if (settings_.lockstep) {
+        policy_version_ = version;
+        board_.policy_version = version;
+        loop_.record(PolicyInForce{utime(), version});
+      }
+      return;
+    }
+    board_.wait_for("the learner, to have trained on episode " + std::to_string(through));
     stop_if_asked();
     if (!loader_->refusal().empty())
       throw Failed{"the learner's policy was refused: " + loader_->refusal()};
     const int64_t heard_us = std::max(board_.last_learner_us.load(), start_us);
     if (monotonic_us() - heard_us > kLearnerDeadlineUs) {
       throw Failed{
-          "the learner has been silent for 120 s while the controller waits for the policy trained "
-          "through "
-          "episode " +
-          std::to_string(through) + "; its last words are in learner.out."};
+          "the learner has been silent for 120 s; is it running? Its last words are in "
+          "learner.out."};
     }
+    if (!settings_.lockstep) std::this_thread::sleep_for(milliseconds(20));
   }
 }
 

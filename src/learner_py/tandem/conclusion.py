@@ -14,7 +14,6 @@ from tandem.run_clock import Clock
 from tandem.run_folder import RunFolder, shown, write_json
 from tandem.scenario import Scenario
 
-DEMO_EPISODES = 3
 OPERATOR_EPISODES = 50
 
 
@@ -93,13 +92,13 @@ def draw(
         summary.read_progress(folder.progress),
         operator["success"],
     )
-    out = folder.path / "demo.mp4"
-    if out.exists():
+    out, episodes = folder.path / "demo.mp4", run["video_episodes"]
+    if out.exists() or episodes == 0:
         return
     seed, workspace = evaluation.DEMO_SEED + run["seed"], folder.evaluations / "demo"
     try:
         video.of_policy(
-            folder.policy, scenario, seed, DEMO_EPISODES, workspace, out, lambda: wait("drawing demo.mp4")
+            folder.policy, scenario, seed, episodes, workspace, out, lambda: wait("drawing demo.mp4")
         )
     except (evaluation.EvaluationError, OSError) as error:
         say(f"demo.mp4 is left out: {error}")

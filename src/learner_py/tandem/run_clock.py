@@ -41,4 +41,6 @@ class Clock:
 
     def save(self) -> None:
         self._saved = time.monotonic()
-        write_json(self.file, self.value)
+        # a full disk stops the run by the controller's or the learner's sentence, not by a stop-watch
+        with contextlib.suppress(OSError):
+            write_json(self.file, self.value)

@@ -242,6 +242,7 @@ _RANGES: dict[str, tuple[int, int]] = {
     "evaluation_every": (1, 10_000_000),
     "evaluation_episodes": (1, 10_000),
     "fresh_episodes": (1, 10_000),
+    "video_episodes": (0, 100),
     "episodes": (1, 10_000),
     "robot_state_hz": (0, 1000),
 }

@@ -74,6 +74,12 @@ def train(settings: Settings, console: Console) -> int:
     except (TrainingError, RunFolderError, EvaluationError) as error:
         _complain(str(error))
         return getattr(error, "exit_code", 1)
+    except OSError as error:
+        _complain(
+            f"{error.filename or settings.folder.path}: {error.strerror}. What is in the log is kept; mend this "
+            f"(disk space, permissions) and go on:\n  {settings.resume_command}"
+        )
+        return 1
     except Interrupted:
         console.print(
             "Stopped; nothing is lost. To go on:\n  " + settings.resume_command,

@@ -142,14 +142,6 @@ TEST(Covers, AFolderWithoutTheArmIsRefused) {
 
 class SceneViewTest : public ::testing::Test {
  protected:
-  void SetUp() override {
-    try {
-      EglContext egl;
-    } catch (const std::exception& error) {
-      GTEST_SKIP() << error.what();
-    }
-  }
-
   static double difference(const cv::Mat& a, const cv::Mat& b) {
     return cv::norm(a, b, cv::NORM_L1) / static_cast<double>(a.total());
   }

@@ -65,6 +65,12 @@ class LearnerProcess:
         self.link.start()
         try:
             return self._learn()
+        except OSError as error:
+            say(
+                f"error: {error.filename or self.run_folder} can't be written ({error.strerror}). Everything learnt "
+                "can be learnt again from the log: free disk space and start the same command again."
+            )
+            return BAD_INPUT
         except (ValueError, CheckpointError, PolicyFileError) as error:
             say(f"error: {error}")
             return BAD_INPUT if isinstance(error, CheckpointError) else REFUSED
