@@ -88,7 +88,8 @@ class LogWriter {
   ArmState state_;
 };
 
-const std::string kScenario = "task: {scene: models/peg/scene.xml, difficulty: normal, clearance_m: {normal: 0.0005}}";
+const std::string kScenario =
+    "task: {scene: models/peg/scene.xml, difficulty: normal, clearance_m: {normal: 0.0005}}";
 
 std::string log_of(const std::string& name, int episodes, bool unfinished) {
   const std::string path = ::testing::TempDir() + name;
