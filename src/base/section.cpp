@@ -62,12 +62,34 @@ Section Section::load(const std::string& path) {
   return Section(root, path, "");
 }
 
+Section Section::parse(const std::string& text, const std::string& name) {
+  try {
+    const YAML::Node root = YAML::Load(text);
+    if (root.IsMap()) return Section(root, name, "");
+  } catch (const YAML::Exception& error) {
+    throw ScenarioError(name + ":" + std::to_string(error.mark.line + 1) +
+                        ": this is not valid YAML (" + error.msg + ").");
+  }
+  throw ScenarioError(name + ":1: a scenario must be a mapping of sections.");
+}
+
 std::string Section::place(const std::string& key) const {
   int line = node_.Mark().line;
   for (const auto& item : node_) {
     if (item.first.as<std::string>() == key) line = item.first.Mark().line;
   }
   return file_ + ":" + std::to_string(line + 1) + ": " + prefix_ + key;
+}
+
+bool Section::has(const std::string& key) const {
+  const YAML::Node& view = node_;
+  return view[key].IsDefined();
+}
+
+size_t Section::size(const std::string& key) const {
+  const YAML::Node& view = node_;
+  const YAML::Node value = view[key];
+  return value.IsDefined() && value.IsSequence() ? value.size() : 0;
 }
 
 YAML::Node Section::find(const std::string& key) {

@@ -28,6 +28,14 @@ class Section {
   /// Root of a scenario file.
   static Section load(const std::string& path);
 
+  /// The same of a text; `name` stands for the file in sentences.
+  static Section parse(const std::string& text, const std::string& name);
+
+  /// Whether the key is there: for keys that exclude each other.
+  bool has(const std::string& key) const;
+  /// Entries of a list; 0 when the key is missing or no list.
+  size_t size(const std::string& key) const;
+
   Section section(const std::string& key);
   double number(const std::string& key, double low, double high);
   int64_t integer(const std::string& key, int64_t low, int64_t high);

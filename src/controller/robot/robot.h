@@ -1,27 +1,15 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 
 #include "base/geometry.h"
+#include "controller/robot/fault.h"
 
 /// The robot as Franka's control interface (FCI) shows it: one torque command per 1 ms cycle.
 namespace tandem {
 
 enum class RobotMode : int8_t { idle = 0, moving = 1, reflex = 2, user_stopped = 3 };
-
-enum class Fault : int32_t {
-  none = 0,
-  communication_constraints_violation = 1,  ///< 20 consecutive cycles without a command
-  torque_discontinuity = 2,                 ///< commanded torque changed faster than 1000 N m/s
-  torque_range = 3,                         ///< |tau| over 87 N m (joints 1-4) or 12 N m (5-7)
-  joint_position_limit = 4,
-  joint_velocity_limit = 5,
-  collision = 6,   ///< external torque or force above the collision threshold
-  not_finite = 7,  ///< a NaN or infinity was commanded
-};
-
-/// One English clause per fault, e.g. "20 consecutive control cycles passed without a command".
-const char* fault_text(Fault fault);
 
 /// What the robot measured at the start of a control cycle. Gravity is compensated by the robot and
 /// excluded from torques.
@@ -33,9 +21,13 @@ struct RobotState {
   JointVector tau_commanded =
       JointVector::Zero();  ///< N m, the last command that the robot received
   JointVector tau_external =
-      JointVector::Zero();     ///< N m, + = environment pushes the joint forward; unfiltered
-  double gripper_width = 0.0;  ///< m
-  double success_rate = 0.0;   ///< share of the last 100 cycles with a command, 0 while idle
+      JointVector::Zero();  ///< N m, + = environment pushes the joint forward; unfiltered
+  /// -1 0 1: sign of the external torque where its average over 20 ms is beyond the contact
+  /// threshold.
+  std::array<int8_t, 7> contact_joint{};
+  std::array<int8_t, 6> contact_W{};  ///< the same of force and moment on the tool, base axes
+  double gripper_width = 0.0;         ///< m
+  double success_rate = 0.0;          ///< share of the last 100 cycles with a command, 0 while idle
   RobotMode mode = RobotMode::idle;
   Fault fault = Fault::none;  ///< latched until recover()
   uint64_t cycle = 0;         ///< control cycles since construction
@@ -67,14 +59,22 @@ class Robot {
   /// is a fault.
   virtual void miss() noexcept = 0;
 
-  /// Target distance between the finger tips, m. Returns at once; the gripper has its own speed.
+  /// Target distance between the finger tips, m. Returns at once; the gripper has its own latency,
+  /// speed and force. To repeat a target changes nothing.
   virtual void grip(double width) noexcept = 0;
 
-  /// Ends the motion: the robot holds still on its own brakes and is idle after.
+  /// Asks for the end of the motion, in place of write(), once per cycle until it returns true:
+  /// the robot brakes, still `moving`, and answers with idle when it stands. The present cycle
+  /// passes. Silence before that counts as misses, and so does a write(): an end asked for is not
+  /// withdrawn.
+  /// @returns whether the motion is over: idle, or a latched fault (finish_timeout after 1 s).
+  virtual bool finish() noexcept = 0;
+
+  /// Ends the motion at once, without handshake: the robot brakes, then holds still; idle.
   virtual void stop() noexcept = 0;
 
-  /// Clears a latched fault; the next write() starts a motion from zero torque. @returns false if
-  /// the cause persists.
+  /// Clears a latched fault; the next write() starts a motion from zero torque. @returns false,
+  /// and changes nothing, while the arm still moves or the cause persists.
   virtual bool recover() noexcept = 0;
 };
 

@@ -83,6 +83,7 @@ void Simulation::step(const JointVector& tau, const Eigen::Vector2d& finger_forc
   mj_step2(model_.get(), data_.get());
   external_torque_ = JointVector::Map(data_->qfrc_constraint + arm_v_);
   measure_contacts();
+  measure_push();
   mj_step1(model_.get(), data_.get());
 }
 
@@ -126,6 +127,30 @@ void Simulation::measure_contacts() noexcept {
   }
 }
 
+// xfrc_applied acts at the hand's centre of mass.
+void Simulation::push(const Wrench& F_W) noexcept {
+  const Eigen::Vector3d p_WE = Eigen::Vector3d::Map(data_->site_xpos + 3 * tool_site_);
+  const Eigen::Vector3d p_WC = Eigen::Vector3d::Map(data_->xipos + 3 * hand_body_);
+  mjtNum* applied = data_->xfrc_applied + 6 * hand_body_;
+  Eigen::Vector3d::Map(applied) = F_W.head<3>();
+  Eigen::Vector3d::Map(applied + 3) = F_W.tail<3>() + (p_WE - p_WC).cross(F_W.head<3>());
+}
+
+void Simulation::measure_push() noexcept {
+  const Wrench push = Wrench::Map(data_->xfrc_applied + 6 * hand_body_);
+  if (push.isZero(0.0)) return;
+  const Eigen::Vector3d f = push.head<3>(), m = push.tail<3>();
+  const Eigen::Vector3d p_WC = Eigen::Vector3d::Map(data_->xipos + 3 * hand_body_);
+  for (int i = 0; i < 7; ++i) {
+    const int joint = arm_joint_[i];
+    const Eigen::Vector3d arm = p_WC - Eigen::Vector3d::Map(data_->xanchor + 3 * joint);
+    external_torque_[i] += Eigen::Vector3d::Map(data_->xaxis + 3 * joint).dot(m + arm.cross(f));
+  }
+  const Eigen::Vector3d p_WE = Eigen::Vector3d::Map(data_->site_xpos + 3 * tool_site_);
+  contact_wrench_.head<3>() += f;
+  contact_wrench_.tail<3>() += m + (p_WC - p_WE).cross(f);
+}
+
 void Simulation::set_arm(const JointVector& q, double gripper_width) noexcept {
   JointVector::Map(data_->qpos + arm_q_) = q;
   JointVector::Map(data_->qvel + arm_v_).setZero();
@@ -148,6 +173,14 @@ Pose Simulation::body_pose(int body) const noexcept {
 
 Pose Simulation::site_pose(int site) const noexcept {
   return from_mujoco_matrix(data_->site_xpos + 3 * site, data_->site_xmat + 9 * site);
+}
+
+Twist Simulation::tool_velocity() const noexcept {
+  mjtNum v[6];  // angular first, axes of the world
+  mj_objectVelocity(model_.get(), data_.get(), mjOBJ_SITE, tool_site_, v, 0);
+  Twist V;
+  V << v[3], v[4], v[5], v[0], v[1], v[2];
+  return V;
 }
 
 void Simulation::place_body(int body, const Pose& X_PB) noexcept {

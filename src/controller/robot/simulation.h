@@ -49,13 +49,17 @@ class Simulation {
     return {data_->qvel[finger_v_[0]], data_->qvel[finger_v_[1]]};
   }
 
-  /// Torque of contacts and joint stops on the arm's joints during the last step, N m; + pushes the
-  /// joint forward.
+  /// Torque of contacts, joint stops and pushes on the arm's joints during the last step, N m; +
+  /// pushes the joint forward.
   JointVector external_torque() const noexcept { return external_torque_; }
 
   /// Force and moment about E of all contacts of hand, fingers and held object with anything else
-  /// during the last step; W axes, + = environment pushes the arm.
+  /// during the last step; W axes, + = environment pushes the arm. A push is a contact, too.
   const Wrench& contact_wrench() const noexcept { return contact_wrench_; }
+
+  /// Somebody pushes the hand from the next step on, until this is called with zero: force and
+  /// moment about E, W axes. To write `hand`'s xfrc_applied does the same.
+  void push(const Wrench& F_W) noexcept;
 
   /// Numbers of named parts. @throws std::runtime_error with a sentence and the names there are.
   int body(const std::string& name) const;
@@ -65,6 +69,7 @@ class Simulation {
   Pose body_pose(int body) const noexcept;                           ///< X_WB
   Pose site_pose(int site) const noexcept;                           ///< X_WS
   Pose tool_pose() const noexcept { return site_pose(tool_site_); }  ///< X_WE
+  Twist tool_velocity() const noexcept;                              ///< V_WE
 
   /// Moves a body that has no joint: X_PB, its pose in its parent's frame (for fixtures W, for the
   /// held object `hand`). Poses and contacts follow at the next forward() or set_arm().
@@ -105,6 +110,7 @@ class Simulation {
   int find(int type, const char* kind, const std::string& name) const;
   void compensate_gravity() noexcept;
   void measure_contacts() noexcept;
+  void measure_push() noexcept;
 
   std::string path_;
   std::unique_ptr<mjModel, FreeModel> model_;
