@@ -1,21 +1,10 @@
 #pragma once
 
 #include "base/geometry.h"
-#include "base/section.h"
 #include "controller/law/arm_model.h"
+#include "controller/law/gains.h"
 
 namespace tandem {
-
-/// Gains of the impedance law, in base axes: translation x y z, then rotation x y z.
-struct ImpedanceGains {
-  Twist stiffness = Twist::Zero();  ///< N/m, N m/rad
-  Twist damping = Twist::Zero();    ///< N s/m, N m s/rad
-  Twist error_clip =
-      Twist::Zero();  ///< m, rad: the largest error per axis and sign that the stiffness acts on
-  JointVector posture = JointVector::Zero();  ///< rad, where the null space is pulled to
-  double posture_stiffness = 0.0;             ///< N m/rad
-  double posture_torque_limit = 0.0;          ///< N m per joint
-};
 
 /// What the law tracks: pose and velocity of the tool in base axes.
 struct PoseReference {
@@ -23,32 +12,67 @@ struct PoseReference {
   Twist V_WE = Twist::Zero();
 };
 
-/// Reads and checks the `law` section of controller.yaml. @throws ScenarioError
-ImpedanceGains read_gains(Section section);
-
 /// Cartesian impedance law with a bounded contact force.
 ///
-///   tau = J' (K clip(e) + D (V_ref - V)) + N tau_posture + c(q, dq)
+///   tau = J' (K clip(e) + D (V_ref - V)) + N tau_posture - d_singular dq + c(q, dq)
 ///
-/// e = (p_ref - p, log(R_ref R')) in base axes. Because e is clipped per axis and sign before K
-/// acts, the static force on the tool never exceeds K clip; force_bound() reports it. N = I - J' (J
-/// J' + lambda^2 I)^-1 J keeps the posture task out of the tool's motion and stays bounded at
-/// singularities. Gravity is the robot's own business.
+/// e = (p_ref - p, log(R_ref R')) in base axes, or turned into the tool's when the gains say so.
+/// Because e is clipped per axis and sign before K acts, the static force on the tool never exceeds
+/// what force_bound() reports. N = I - J' (J J' + lambda^2 I)^-1 J keeps the posture task out of
+/// the tool's motion and stays bounded at singularities; d_singular grows as the smallest singular
+/// values of J fall, and is exactly zero away from singularities. Gravity is the robot's own
+/// business.
+///
+/// With a diagonal K the clipped spring has a potential, so it gives back no more than it took;
+/// coupled axes that are clipped have none, and rely on D.
 ///
 /// Real-time: no allocation, no lock, noexcept.
 class CartesianImpedance {
  public:
+  static constexpr int kRampTicks = 200;  ///< new gains are reached after so long
+  static constexpr int kFadeTicks = 300;  ///< stiffness is gone, or back, after so long
+
   explicit CartesianImpedance(const ImpedanceGains& gains) : gains_(gains) {}
 
-  JointVector torque(const ArmState& arm, const PoseReference& reference) const noexcept;
+  /// Start of an episode: gains in force are the latest ones, nothing is faded.
+  void reset() noexcept;
 
-  /// Largest static force and moment per base axis, N and N m.
-  Wrench force_bound() const noexcept { return gains_.stiffness.cwiseProduct(gains_.error_clip); }
+  /// New gains. The wrench goes from that of the old gains to that of the new ones in a straight
+  /// ramp, so it holds for changed axes and full matrices, too. Gains that come during a ramp wait
+  /// for its end; of several the latest is taken.
+  void set_gains(const ImpedanceGains& gains) noexcept;
 
+  /// While `damped`, the stiffness (posture and velocity feed-forward included) fades and the arm
+  /// moves against damping only.
+  void set_damped(bool damped) noexcept { damped_ = damped; }
+
+  /// One tick: advances the ramps. @returns N m.
+  JointVector torque(const ArmState& arm, const PoseReference& reference) noexcept;
+
+  /// Largest static force and moment of the spring per base axis, either sign, with the tool at
+  /// orientation R_WE, N and N m, in the state of ramp and fade of the latest tick.
+  Wrench force_bound(const Eigen::Quaterniond& R_WE) const noexcept;
+
+  /// The part of `increment` (m, rad, base axes) by which a commanded pose that leads the measured
+  /// one by `lead` may move on, so that no axis (of the gains) leads by more than its clip. A lead
+  /// that is there already is left alone.
+  Twist allowed(const Twist& increment, const Twist& lead,
+                const Eigen::Quaterniond& R_WE) const noexcept;
+
+  /// In force, or being ramped to.
   const ImpedanceGains& gains() const noexcept { return gains_; }
+  bool ramping() const noexcept { return ramp_left_ > 0; }
+  /// 1: the full stiffness, 0: damping only.
+  double stiffness_share() const noexcept { return 1.0 - fade_ / double(kFadeTicks); }
 
  private:
-  ImpedanceGains gains_;
+  double ramped() const noexcept { return 1.0 - ramp_left_ / double(kRampTicks); }
+
+  ImpedanceGains gains_, from_, next_;
+  int ramp_left_ = 0;
+  bool has_next_ = false;
+  bool damped_ = false;
+  int fade_ = 0;  // ticks: 0 stiff, kFadeTicks damped
 };
 
 /// Force and moment on the tool (base axes) that explain the external joint torques: least squares
