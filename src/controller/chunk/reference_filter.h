@@ -1,42 +1,54 @@
 #pragma once
 
+#include "base/section.h"
 #include "controller/law/cartesian_impedance.h"
 
 namespace tandem {
 
+/// The `reference` section. Limits hold for the length of the translational and of the rotational
+/// part.
+struct ReferenceSettings {
+  double omega = 0.0;                 ///< rad/s, bandwidth
+  double velocity_linear = 0.0;       ///< m/s
+  double velocity_angular = 0.0;      ///< rad/s
+  double acceleration_linear = 0.0;   ///< m/s^2
+  double acceleration_angular = 0.0;  ///< rad/s^2
+};
+
+/// @throws ScenarioError also when an acceleration limit is too small to brake from the velocity
+/// limit without overshoot.
+ReferenceSettings read_reference(Section section);
+
 /// Turns the commanded pose, which moves in straight ramps from step to step, into a reference that
-/// is continuous in pose and velocity whatever the commanded pose does: seams between chunks and
-/// take-overs included.
+/// is continuous in pose and velocity whatever the commanded pose does: seams between chunks,
+/// take-overs and even jumps included.
 ///
 /// A critically damped second-order low-pass on SE(3), base axes: a = omega^2 e - 2 omega V with e
 /// = commanded minus reference. It never overshoots a ramp that stops and lags a steady ramp by 2 /
-/// omega seconds, which the velocity feed-forward of the law makes up for. Real-time.
+/// omega seconds, which the velocity feed-forward of the law makes up for. Acceleration and
+/// velocity are cut in length, so a cut motion keeps its direction; nothing is cut in the motions
+/// that a task can ask for. With the default limits no tick moves the reference by more than 0.5 mm
+/// and 1.5 mrad.
+///
+/// While the law is damped: let the commanded pose stand until the law's stiffness is gone, then
+/// set it to the measured pose every tick. The reference goes after the arm under the same limits,
+/// and the stiffness comes back from there without a jump.
+///
+/// Real-time: no allocation, no lock, noexcept.
 class ReferenceFilter {
  public:
-  /// @param omega rad/s. @param acceleration_limit m/s^2 and rad/s^2 per axis.
-  ReferenceFilter(double omega, const Twist& acceleration_limit)
-      : omega_(omega), acceleration_limit_(acceleration_limit) {}
+  explicit ReferenceFilter(const ReferenceSettings& settings) : settings_(settings) {}
 
-  /// Starts at rest at X_WE.
-  void reset(const Pose& X_WE) noexcept { reference_ = {X_WE, Twist::Zero()}; }
+  /// Starts at rest at X_WE: an episode begins, or a fault was cleared.
+  void reset(const Pose& X_WE) noexcept;
 
   /// One tick of 1 ms towards the commanded pose.
-  const PoseReference& step(const Pose& X_WE_commanded) noexcept {
-    constexpr double kDt = 0.001;
-    const Twist error = minus(X_WE_commanded, reference_.X_WE);
-    const Twist acceleration = (omega_ * omega_ * error - 2.0 * omega_ * reference_.V_WE)
-                                   .cwiseMax(-acceleration_limit_)
-                                   .cwiseMin(acceleration_limit_);
-    reference_.V_WE += kDt * acceleration;
-    reference_.X_WE = add(reference_.X_WE, kDt * reference_.V_WE);
-    return reference_;
-  }
+  const PoseReference& step(const Pose& X_WE_commanded) noexcept;
 
   const PoseReference& reference() const noexcept { return reference_; }
 
  private:
-  double omega_;
-  Twist acceleration_limit_;
+  ReferenceSettings settings_;
   PoseReference reference_;
 };
 

@@ -38,8 +38,10 @@ class Lenient(BaseModel):
 class Execution(Strict):
     """How the controller executes chunks; copied into the policy file."""
 
-    mode: Literal["receding", "open_loop"]
+    mode: Literal["receding", "open_loop", "temporal_ensembling"]
     execute: int = Field(ge=1, le=64)
+    ensemble_decay: float = Field(ge=0, le=10)
+    latency_ticks: int = Field(ge=0, lt=1000)  # the controller checks it against the policy step
     noise_chunk: float = Field(ge=0, le=1)
     noise_step: float = Field(ge=0, le=1)
     noise_clip: float = Field(ge=0, le=2)
