@@ -14,7 +14,7 @@
 #include <tandem/scenario_t.hpp>
 
 #include "controller/loop/run.h"
-#include "controller/robot/model_check.h"
+#include "controller/loop/scenario.h"
 
 namespace tandem {
 namespace {
@@ -25,34 +25,6 @@ std::atomic<bool>* stop_flag = nullptr;
 
 void on_signal(int) {
   if (stop_flag) stop_flag->store(true);
-}
-
-/// Everything that the scenario says to the controller.
-struct Scenario {
-  RunSettings run;
-  ControlSettings control;
-  ExecutionSettings execution;
-  int horizon = 1;
-  double discount = 1.0;
-  std::unique_ptr<Task> task;
-};
-
-Scenario read_scenario(const std::string& path) {
-  Section root = Section::load(path);
-  Scenario scenario;
-  scenario.run = read_run(root.section("run"));
-  scenario.control = read_control(root.section("controller"));
-  Section method = root.section("method");
-  scenario.horizon = static_cast<int>(method.integer("horizon", 1, kMaxHorizon));
-  scenario.discount = method.number("discount", 0.0, 1.0);
-  scenario.execution = read_execution(method.section("execution"), scenario.horizon);
-  method.text("name");
-  method.leave("learner");
-  method.finish();
-  scenario.task = make_task(root.section("task"));
-  root.leave("operator");
-  root.finish();
-  return scenario;
 }
 
 std::string whole_file(const std::string& path) {
@@ -79,6 +51,12 @@ nlohmann::json summary(const Histogram& histogram) {
   return {{"p50", s[0]}, {"p99", s[1]}, {"p999", s[2]}, {"max", s[3]}};
 }
 
+nlohmann::json counts(const Histogram& histogram) {
+  return {{"bucket_us", 1e-3 * Histogram::kBucketNs},
+          {"counts", histogram.counts()},
+          {"max_us", histogram.summary()[3]}};
+}
+
 void write_results(const std::string& path, const std::vector<episode_end_t>& episodes,
                    const StatusBoard& board, double wall_s, int64_t env_steps) {
   const char* outcomes[] = {"success", "timeout", "fault", "discard", "failure"};
@@ -89,21 +67,27 @@ void write_results(const std::string& path, const std::vector<episode_end_t>& ep
                     {"seed", end.episode_seed},
                     {"phase", phases[end.phase]},
                     {"outcome", outcomes[end.outcome]},
+                    {"fault", end.fault},
                     {"n_steps", end.n_steps},
                     {"n_intervention_steps", end.n_intervention_steps},
                     {"n_takeovers", end.n_takeovers},
                     {"force_peak", end.force_peak},
                     {"force_filtered_peak", end.force_filtered_peak}});
   }
-  const nlohmann::json results = {{"episodes", rows},
-                                  {"env_steps", env_steps},
-                                  {"wall_s", wall_s},
-                                  {"env_steps_per_s", static_cast<double>(env_steps) / wall_s},
-                                  {"ticks", board.ticks.load()},
-                                  {"overruns", board.overruns.load()},
-                                  {"records_dropped", board.records_dropped.load()},
-                                  {"tick_compute_us", summary(board.tick_time)},
-                                  {"wakeup_us", summary(board.wakeup)}};
+  nlohmann::json results = {{"episodes", rows},
+                            {"env_steps", env_steps},
+                            {"wall_s", wall_s},
+                            {"env_steps_per_s", static_cast<double>(env_steps) / wall_s},
+                            {"ticks", board.ticks.load()},
+                            {"overruns", board.overruns.load()},
+                            {"records_dropped", board.records_dropped.load()},
+                            {"tick_compute_us", summary(board.tick_time)},
+                            {"robot_us", summary(board.robot_time)},
+                            {"wakeup_us", summary(board.wakeup)},
+                            {"tick_compute_histogram_us", counts(board.tick_time)},
+                            {"wakeup_histogram_us", counts(board.wakeup)},
+                            {"policy_latency_ticks_max", board.policy_latency_ticks[1].load()}};
+  if (counts_allocations()) results["allocations"] = board.allocations.load();
   std::ofstream file(path);
   file << results.dump(1) << "\n";
   if (!file.good())
@@ -112,19 +96,13 @@ void write_results(const std::string& path, const std::vector<episode_end_t>& ep
 
 int run(const std::string& scenario_path, const std::string& run_folder, const std::string& lcm_url,
         const std::string& root, const std::string& results_path) {
-  Scenario scenario = read_scenario(scenario_path);
+  Scenario scenario = read_scenario(Section::load(scenario_path));
   Task& task = *scenario.task;
   const bool trains = scenario.run.mode == RunMode::train;
   const bool has_partners = trains || scenario.run.mode == RunMode::demonstrate;
 
-  // The arm, twice: as the robot is, and as the law believes it to be. They must agree.
-  const std::filesystem::path checkout(root);
-  Simulation simulation((checkout / task.spec().scene).string());
-  task.attach(simulation);
-  ArmModel model((checkout / "models/panda/panda.urdf").string());
-  model.set_load(simulation.held_load());
-  check_model(simulation, model);
-  MujocoRobot robot(simulation, scenario.control.robot);
+  Arm arm(task, root);
+  MujocoRobot robot(arm.simulation, scenario.control.robot);
 
   // The log says where an earlier run stopped.
   std::optional<EventLog> log;
@@ -133,6 +111,9 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
     std::filesystem::create_directories(run_folder);
     log.emplace((std::filesystem::path(run_folder) / "log.lcm").string());
     for (const episode_end_t& end : log->past().episodes) position.add(end);
+    if (log->past().gains) {
+      gains_from(*log->past().gains, scenario.control.gains, scenario.control.gains);
+    }
     if (!log->past().has_scenario) write_scenario(*log, scenario_path, task, position.next_episode);
   }
 
@@ -151,7 +132,8 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
         Link::Settings{.url = lcm_url,
                        .lockstep = scenario.run.lockstep,
                        .learner = trains,
-                       .env_steps_budget = trains ? scenario.run.env_steps : 0},
+                       .env_steps_budget = trains ? scenario.run.env_steps : 0,
+                       .gains = scenario.control.gains},
         task.spec(), board);
     loader = std::make_unique<PolicyLoader>(
         slot, task, PolicyLoader::Settings{run_folder, scenario.horizon, scenario.run.lockstep},
@@ -173,20 +155,24 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
     };
     sinks.robot_state = [&](const robot_state_t& state) { link->send(state); };
     sinks.chunk = [&](const action_chunk_t& chunk) { link->send(chunk); };
+    sinks.fault = [&](const controller_fault_t& fault) { link->send(fault); };
+    sinks.status = [&] { return link->status(); };
     sinks.announcement = [&](int32_t version) { return loader->announcement(version); };
   }
   const int hz = scenario.run.robot_state_hz;
   Recorder recorder(records, log ? &*log : nullptr, task.spec(), task.observation().size(),
                     {.discount = scenario.discount,
                      .robot_state_every = hz > 0 ? std::max(1, 1000 / hz) : 0,
+                     .every_tick = !scenario.run.lockstep,
                      .env_steps = position.env_steps},
                     sinks, board);
 
   const int64_t steps_before = position.env_steps;
-  ControlLoop loop(robot, model, task.spec(), scenario.control, scenario.execution, records);
-  PolicyWorker worker(task, slot);
-  Run programme(scenario.run, task, robot, model, loop, worker, link.get(), loader.get(), records,
-                board, std::move(position));
+  ControlLoop loop(robot, arm.model, task.spec(), scenario.control, scenario.execution, records);
+  const int policy_priority = scenario.run.lockstep ? 0 : scenario.control.realtime.priority / 2;
+  PolicyWorker worker(task, slot, policy_priority);
+  Run programme(scenario.run, scenario.control, task, robot, arm.model, loop, worker, link.get(),
+                loader.get(), records, board, std::move(position));
   const int64_t start_us = monotonic_us();
   int code = programme.execute();
   const double wall_s = 1e-6 * static_cast<double>(monotonic_us() - start_us);
@@ -234,7 +220,7 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     if (check) {
-      tandem::read_scenario(scenario);
+      tandem::read_scenario(tandem::Section::load(scenario));
       return 0;
     }
     return tandem::run(scenario, run_folder, lcm_url, root, results);

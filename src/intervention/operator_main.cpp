@@ -2,12 +2,15 @@
 
 #include <CLI/CLI.hpp>
 #include <atomic>
+#include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
 #include <lcm/lcm-cpp.hpp>
+#include <tandem/controller_command_t.hpp>
 #include <tandem/controller_status_t.hpp>
 
+#include "controller/robot/fault.h"
 #include "intervention/scripted_operator.h"
 
 namespace tandem {
@@ -45,11 +48,32 @@ class OperatorProcess {
     if (status->state == controller_status_t::FINISHED ||
         status->state == controller_status_t::FAULTED)
       stop = true;
+    if (status->state == controller_status_t::HALTED) recover(*status);
   }
+
+  /// He presses the button that a person would press after a fault. A stop that someone asked for
+  /// is not his to undo.
+  void recover(const controller_status_t& status) {
+    const auto now = std::chrono::steady_clock::now();
+    const auto fault = static_cast<Fault>(status.fault);
+    if (fault == Fault::estop || fault == Fault::user_stop || now - recovered_ < kPressAgain)
+      return;
+    recovered_ = now;
+    controller_command_t command;
+    command.utime =
+        std::chrono::duration_cast<std::chrono::microseconds>(now.time_since_epoch()).count();
+    command.order = controller_command_t::RECOVER;
+    command.reason = "the scripted operator goes on";
+    lcm_.publish("CONTROLLER_COMMAND", &command);
+  }
+
+  /// Several status periods: he waits for what his last press did.
+  static constexpr std::chrono::milliseconds kPressAgain{700};
 
   lcm::LCM lcm_;
   ScriptedOperator operator_;
   int64_t answered_ = 0;
+  std::chrono::steady_clock::time_point recovered_{};
 };
 
 OperatorRules rules_of_scenario(const std::string& path) {

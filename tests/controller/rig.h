@@ -12,7 +12,7 @@ inline Section config(const std::string& file) {
 }
 
 /// The whole control side around a real simulated arm on the peg task, as main() wires it, without
-/// other threads.
+/// other threads. Its clock moves 1 ms a tick.
 struct Rig {
   std::unique_ptr<Task> task = make_task(config("tasks/peg.yaml"));
   Simulation simulation{std::string(TANDEM_ROOT) + "/" + task->spec().scene};
@@ -21,25 +21,39 @@ struct Rig {
   MujocoRobot robot{simulation, control.robot};
   SpscRing<Record> records{512};
   ControlLoop loop;
+  int64_t now_us = 0;
 
-  explicit Rig(ExecutionSettings execution = {.mode = ExecutionMode::open_loop, .execute = 8})
+  static constexpr int kHorizon = 8;
+
+  explicit Rig(ExecutionSettings execution = {.mode = ExecutionMode::open_loop,
+                                              .horizon = kHorizon,
+                                              .execute = kHorizon})
       : loop(robot, model, task->spec(), control, execution, records) {
     task->attach(simulation);
     model.set_load(simulation.held_load());
   }
 
-  void begin(uint64_t seed, Phase phase = Phase::training) {
+  void begin(uint64_t seed, Phase phase = Phase::evaluation) {
     task->reset(robot, model, seed);
     robot.recover();
-    loop.begin_episode({.episode = 0, .episode_seed = seed, .phase = phase}, false);
+    loop.begin_episode({.episode = 0,
+                        .episode_seed = seed,
+                        .phase = phase,
+                        .has_policy = phase != Phase::demonstration});
   }
 
-  StepSnapshot begin_step() { return loop.begin_step(task->truth(simulation), 0); }
+  StepSnapshot begin_step() { return loop.begin_step(task->truth(simulation), now_us); }
+
+  /// @returns the tick's record when there was room for it.
+  void tick(double link_age_ms = 0.0) {
+    loop.tick({.utime = now_us, .missed_cycles = 0, .link_age_ms = link_age_ms});
+    now_us += 1000;
+  }
 
   /// One step of ticks; records are thrown away.
   StepRecord run_step() {
     for (int i = 0; i < task->spec().ticks_per_step; ++i) {
-      loop.tick(0);
+      tick();
       drain();
     }
     const StepRecord step = loop.end_step();
@@ -47,16 +61,29 @@ struct Rig {
     return step;
   }
 
+  void hear(const Twist& twist, bool engaged) { loop.hear(human(twist, engaged), now_us); }
+
   void drain() {
     while (records.front()) records.pop();
   }
 
-  static Chunk constant_chunk(int id, int start_step, const Action& action) {
+  /// The record of the latest tick; everything else that waits is thrown away.
+  TickRecord latest_tick() {
+    TickRecord latest;
+    while (const Record* record = records.front()) {
+      if (const auto* tick = std::get_if<TickRecord>(record)) latest = *tick;
+      records.pop();
+    }
+    return latest;
+  }
+
+  Chunk constant_chunk(int id, int start_step, const Action& action, int32_t version = 1) const {
     Chunk chunk;
     chunk.id = id;
-    chunk.policy_version = 1;
+    chunk.policy_version = version;
     chunk.start_step = start_step;
-    chunk.horizon = 8;
+    chunk.observation_tick = static_cast<int64_t>(start_step) * task->spec().ticks_per_step;
+    chunk.horizon = kHorizon;
     chunk.actions.fill(action);
     return chunk;
   }

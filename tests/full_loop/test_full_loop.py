@@ -8,10 +8,12 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tandem.cli.log import first_difference
+from tandem.log import messages
 
 ROOT = Path(__file__).parents[2]
 SMALL = {
@@ -103,10 +105,93 @@ def test_killed_controller_loses_at_most_the_running_episode(reference: Path, tm
     assert difference is None, difference
 
 
+def replay(run: Path) -> tuple[int, dict[str, Any]]:
+    done = subprocess.run(
+        [sys.executable, "-m", "tandem", "replay", str(run), "--json", "-"],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        cwd=ROOT,
+    )
+    assert "{" in done.stdout, done.stdout + done.stderr
+    return done.returncode, json.loads(done.stdout[done.stdout.index("{") :])
+
+
+def test_replay_of_a_lockstep_log_finds_every_torque_again(reference: Path) -> None:
+    code, result = replay(reference)
+    assert code == 0, result
+    assert result["differences"] == 0
+    assert result["ticks"] == 100 * result["steps"] > 10_000
+    assert result["torques_one_by_one"] > 0
+
+
+def test_replay_finds_one_changed_bit_of_what_the_operator_said(reference: Path, tmp_path: Path) -> None:
+    bytes_ = bytearray((reference / "log.lcm").read_bytes())
+    at = bytes_.index(b"TELEOP_COMMAND", len(bytes_) // 2) + len(b"TELEOP_COMMAND")
+    twist_x = at + 8 + 8 + 8 + 8  # fingerprint, utime, episode, tick
+    bytes_[twist_x + 5] ^= 1  # in the fraction
+    (tmp_path / "log.lcm").write_bytes(bytes_)
+    code, result = replay(tmp_path)
+    assert code == 1
+    assert result["first_difference"]["episode"] > 0
+
+
+def test_stopped_arm_waits_for_an_order_and_the_fault_is_on_record(tmp_path: Path) -> None:
+    run = tmp_path / "stopped"
+    process = subprocess.Popen(
+        command(
+            run,
+            "--clock",
+            "realtime",
+            **{"run.demonstrations": 1, "run.env_steps": 60, "controller.faults_in_a_row": 1000},
+        ),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+    )
+    deadline = time.monotonic() + 120
+    while b"ACTION_CHUNK" not in _bytes(run / "log.lcm"):
+        assert process.poll() is None and time.monotonic() < deadline, process.communicate()[0]
+        time.sleep(0.05)
+
+    def order(*words: str) -> subprocess.CompletedProcess[str]:
+        words = (sys.executable, "-m", "tandem", "command", *words, "--run", str(run))
+        return subprocess.run(words, capture_output=True, text=True, timeout=60, cwd=ROOT)
+
+    stopped = order("estop")
+    assert stopped.returncode == 0, stopped.stdout + stopped.stderr
+    steps = _bytes(run / "log.lcm").count(b"WORLD_STATE")
+    time.sleep(1.0)
+    # Nobody but a person clears a person's stop: the scripted operator is there, too.
+    assert _bytes(run / "log.lcm").count(b"WORLD_STATE") == steps
+    recovered = order("recover")
+    assert recovered.returncode == 0, recovered.stdout + recovered.stderr
+    output, _ = process.communicate(timeout=180)
+    assert process.returncode == 0, output
+    faults = [event.message for event in messages(run / "log.lcm", "CONTROLLER_FAULT")]
+    # A busy machine may add faults of its own: twenty cycles missed in a row.
+    stops = [fault for fault in faults if "e-stop" in fault.sentence]
+    assert len(stops) == 1
+    assert 0 < stops[0].n_records <= 50
+    ends = [event.message for event in messages(run / "log.lcm", "EPISODE_END")]
+    assert [end.fault for end in ends if end.outcome == end.FAULT] == [fault.fault for fault in faults]
+    code, result = replay(run)
+    assert code == 0, result
+
+
 def test_realtime_runs_on_the_wall_clock_and_counts_overruns(tmp_path: Path) -> None:
     run = tmp_path / "realtime"
-    done = train(run, "--clock", "realtime", **{"run.demonstrations": 1, "run.env_steps": 20})
+    done = train(
+        run,
+        "--clock",
+        "realtime",
+        **{"run.demonstrations": 1, "run.env_steps": 20, "controller.faults_in_a_row": 1000},
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
+    code, replayed = replay(run)
+    assert code == 0, replayed
+    assert replayed["torques_one_by_one"] == 7 * replayed["ticks"] > 0
     result = json.loads((run / "controller.json").read_text())
     assert result["ticks"] >= 2000
     assert result["overruns"] >= 0

@@ -2,16 +2,18 @@
 
 #include <cstdint>
 
+#include "bench/allocation_counter.h"
+
 namespace tandem::testing {
 
-/// Counts heap allocations of this thread (malloc and all that ends there: new, Eigen, C libraries)
-/// while it lives. Link allocation_counter.cpp into the test program; it stands in for glibc's
-/// malloc.
+/// Heap allocations of this thread (malloc and all that ends there: new, Eigen, C libraries) since
+/// construction. The library test_support brings the malloc that counts.
 class AllocationCounter {
  public:
-  AllocationCounter();
-  ~AllocationCounter();
-  int64_t count() const;  ///< since construction
+  int64_t count() const { return tandem_allocations() - before_; }
+
+ private:
+  long before_ = tandem_allocations();
 };
 
 }  // namespace tandem::testing

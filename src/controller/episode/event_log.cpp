@@ -30,6 +30,9 @@ void EventLog::recover(const std::string& path) {
       policy_announce_t announce;
       if (announce.decode(event->data, 0, event->datalen) >= 0)
         seen.last_policy_path = announce.path;
+    } else if (event->channel == "IMPEDANCE_GAINS") {
+      impedance_gains_t gains;
+      if (gains.decode(event->data, 0, event->datalen) >= 0) seen.gains = gains;
     } else if (event->channel == "EPISODE_END") {
       episode_end_t end;
       if (end.decode(event->data, 0, event->datalen) < 0) break;
@@ -38,7 +41,7 @@ void EventLog::recover(const std::string& path) {
       continue;
     }
     // The log is complete up to here: everything of an episode lies before its EPISODE_END.
-    if (event->channel != "POLICY_ANNOUNCE") {
+    if (event->channel == "SCENARIO" || event->channel == "EPISODE_END") {
       complete_bytes = static_cast<uintmax_t>(ftello(log.getFilePtr()));
       past_ = seen;
     }

@@ -2,7 +2,9 @@
 
 #include <lcm/lcm-cpp.hpp>
 #include <memory>
+#include <optional>
 #include <string>
+#include <tandem/impedance_gains_t.hpp>
 #include <vector>
 
 #include "controller/episode/messages.h"
@@ -19,8 +21,9 @@ class EventLog {
   /// What a log already holds.
   struct Past {
     bool has_scenario = false;
-    std::vector<episode_end_t> episodes;  ///< complete ones, in order
-    std::string last_policy_path;         ///< of the last POLICY_ANNOUNCE, empty when none
+    std::vector<episode_end_t> episodes;     ///< complete ones, in order
+    std::optional<impedance_gains_t> gains;  ///< the last that were changed while running
+    std::string last_policy_path;            ///< of the last POLICY_ANNOUNCE, empty when none
   };
 
   /// Opens or continues `path`. @throws std::runtime_error with a sentence when that is impossible.

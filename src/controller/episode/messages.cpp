@@ -23,7 +23,7 @@ void put(const Pose& X, double* p, double* q) {
 
 robot_state_t to_message(const TickRecord& record, int64_t episode) {
   robot_state_t m;
-  m.utime = record.utime;
+  m.utime = record.input.utime;
   m.tick = record.tick;
   m.episode = episode;
   put(record.robot.q, m.q_measured);
@@ -38,8 +38,29 @@ robot_state_t to_message(const TickRecord& record, int64_t episode) {
   m.gripper_width = record.robot.gripper_width;
   m.alpha = record.alpha;
   m.success_rate = record.robot.success_rate;
+  m.limits_acted = static_cast<int32_t>(record.limits_acted);
+  std::copy(record.robot.contact_joint.begin(), record.robot.contact_joint.end(), m.contact_joint);
+  std::copy(record.robot.contact_W.begin(), record.robot.contact_W.end(), m.contact_W);
   m.robot_mode = static_cast<int32_t>(record.robot.mode);
   m.fault = static_cast<int32_t>(record.robot.fault);
+  return m;
+}
+
+control_tick_t to_control_tick(const TickRecord& record, int64_t episode) {
+  control_tick_t m;
+  m.utime = record.input.utime;
+  m.tick = record.tick;
+  m.episode = episode;
+  m.missed_cycles = record.input.missed_cycles;
+  m.link_age_ms = record.input.link_age_ms;
+  put(record.robot.q, m.q_measured);
+  put(record.robot.dq, m.dq_measured);
+  put(record.robot.tau_external, m.tau_external);
+  put(record.robot.tau_commanded, m.tau_received);
+  m.gripper_width = record.robot.gripper_width;
+  m.robot_mode = static_cast<int32_t>(record.robot.mode);
+  m.fault = static_cast<int32_t>(record.robot.fault);
+  put(record.tau_commanded, m.tau_commanded);
   return m;
 }
 
@@ -67,8 +88,9 @@ action_chunk_t to_message(const ChunkRecord& record, int64_t episode, int64_t ut
   action_chunk_t m;
   m.utime = utime;
   m.episode = episode;
-  m.observation_tick = record.observation_tick;
+  m.observation_tick = record.chunk.observation_tick;
   m.start_tick = record.start_tick;
+  m.taken_tick = record.taken_tick;
   m.chunk_id = record.chunk.id;
   m.policy_version = record.chunk.policy_version;
   m.horizon = record.chunk.horizon;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tandem/action_chunk_t.hpp>
+#include <tandem/control_tick_t.hpp>
 #include <tandem/episode_end_t.hpp>
 #include <tandem/robot_state_t.hpp>
 #include <tandem/teleop_command_t.hpp>
@@ -14,6 +15,7 @@
 namespace tandem {
 
 robot_state_t to_message(const TickRecord& record, int64_t episode);
+control_tick_t to_control_tick(const TickRecord& record, int64_t episode);
 world_state_t to_message(const StepSnapshot& snapshot, const TaskSpec& task);
 action_chunk_t to_message(const ChunkRecord& record, int64_t episode, int64_t utime);
 teleop_command_t to_message(const HumanCommand& command);

@@ -19,11 +19,20 @@ struct EpisodeBegin {
   uint64_t episode_seed = 0;
   Phase phase = Phase::training;
   int32_t policy_version = 0;
+  bool has_policy = true;  ///< somebody will say what to do when the human does not
+};
+
+/// What a tick is told beside the robot's state: the time, and how its partners are.
+struct TickInput {
+  int64_t utime = 0;          ///< us, monotonic; in lockstep simulated
+  int32_t missed_cycles = 0;  ///< control cycles that passed without a command just before
+  double link_age_ms = 0.0;   ///< since the link thread was last alive; 0 in lockstep
 };
 
 /// One control tick.
 struct TickRecord {
-  int64_t utime = 0, tick = 0;
+  TickInput input;
+  int64_t tick = 0;
   RobotState robot;
   Pose X_WE;            ///< measured
   Pose X_WE_reference;  ///< what the law tracked
@@ -32,6 +41,7 @@ struct TickRecord {
   Wrench force_bound = Wrench::Zero();
   JointVector tau_commanded = JointVector::Zero();  ///< after every limit
   double alpha = 0.0;
+  uint32_t limits_acted = 0;  ///< bits of SafetyFilter::Limit
 };
 
 /// The observation of a step, once the policy thread has built it; step max + 1 closes the last
@@ -42,8 +52,14 @@ struct ObservationRecord {
 };
 
 struct ChunkRecord {
-  int64_t observation_tick = 0, start_tick = 0;
+  int64_t start_tick = 0, taken_tick = 0;
   Chunk chunk;
+};
+
+/// New gains began to ramp in.
+struct GainsRecord {
+  int64_t utime = 0;
+  ImpedanceGains gains;
 };
 
 /// What happened during one policy step.
@@ -56,12 +72,14 @@ struct StepRecord {
   int32_t policy_version = 0, chunk_id = -1, chunk_index = -1;
   double force_peak = 0.0;           ///< N, unfiltered
   double force_filtered_peak = 0.0;  ///< N
+  uint64_t torque_digest = 0;        ///< over the bits of every commanded torque
 };
 
 struct EpisodeFinish {
-  int64_t utime = 0;
+  int64_t utime = 0, tick = 0;
   Outcome outcome = Outcome::timeout;
   Fault fault = Fault::none;
+  int32_t faults_in_a_row = 0, faults_allowed = 0;
 };
 
 /// A policy was put in force between two episodes (lockstep) or between two chunks (real time).
@@ -71,6 +89,6 @@ struct PolicyInForce {
 };
 
 using Record = std::variant<EpisodeBegin, TickRecord, ObservationRecord, StepSnapshot, ChunkRecord,
-                            HumanCommand, StepRecord, EpisodeFinish, PolicyInForce>;
+                            HumanCommand, GainsRecord, StepRecord, EpisodeFinish, PolicyInForce>;
 
 }  // namespace tandem

@@ -8,6 +8,11 @@
 #include "controller/episode/returns.h"
 
 namespace tandem {
+namespace {
+
+constexpr size_t kFaultRecords = 50;  // as libfranka's ControlException carries
+
+}  // namespace
 
 Recorder::Recorder(SpscRing<Record>& ring, EventLog* log, const TaskSpec& task,
                    int observation_size, const RecorderSettings& settings, RecorderSinks sinks,
@@ -46,13 +51,17 @@ void Recorder::take(const EpisodeBegin& begin) {
   episode_ = begin;
   observations_.clear();
   steps_.clear();
+  last_ticks_.clear();
 }
 
 void Recorder::take(const TickRecord& tick) {
-  utime_ = tick.utime;
+  utime_ = tick.input.utime;
+  if (last_ticks_.size() == kFaultRecords) last_ticks_.pop_front();
+  last_ticks_.push_back(tick);
+  if (settings_.every_tick) log("CONTROL_TICK", utime_, to_control_tick(tick, episode_.episode));
   if (settings_.robot_state_every == 0 || tick.tick % settings_.robot_state_every != 0) return;
   const robot_state_t message = to_message(tick, episode_.episode);
-  log("ROBOT_STATE", tick.utime, message);
+  log("ROBOT_STATE", utime_, message);
   if (sinks_.robot_state) sinks_.robot_state(message);
 }
 
@@ -78,6 +87,10 @@ void Recorder::take(const HumanCommand& command) {
   log("TELEOP_COMMAND", utime_, to_message(command));
 }
 
+void Recorder::take(const GainsRecord& gains) {
+  log("IMPEDANCE_GAINS", gains.utime, to_message(gains.gains, gains.utime));
+}
+
 void Recorder::take(const StepRecord& step) { steps_.push_back(step); }
 
 void Recorder::take(const PolicyInForce& policy) {
@@ -88,16 +101,35 @@ void Recorder::take(const PolicyInForce& policy) {
 }
 
 void Recorder::take(const EpisodeFinish& finish) {
+  if (finish.fault != Fault::none) report_fault(finish);
   auto episode = std::make_shared<FinishedEpisode>(assemble(finish));
   if (log_) {
     for (const std::vector<uint8_t>& step : episode->steps)
       log_->write("EPISODE_STEP", finish.utime, step);
+    if (settings_.every_tick && sinks_.status)
+      log_->write("CONTROLLER_STATUS", finish.utime, sinks_.status());
     log_->write("EPISODE_END", finish.utime, episode->end);
     log_->flush();
     if (!log_->failure().empty()) board_.stop = true;
   }
   episodes_.push_back(episode->end);
   if (sinks_.episode) sinks_.episode(std::move(episode));
+}
+
+void Recorder::report_fault(const EpisodeFinish& finish) {
+  controller_fault_t m;
+  m.utime = finish.utime;
+  m.episode = episode_.episode;
+  m.tick = finish.tick;
+  m.fault = static_cast<int32_t>(finish.fault);
+  m.sentence = fault_text(finish.fault);
+  m.faults_in_a_row = finish.faults_in_a_row;
+  m.faults_allowed = finish.faults_allowed;
+  for (const TickRecord& tick : last_ticks_)
+    m.last_records.push_back(to_message(tick, episode_.episode));
+  m.n_records = static_cast<int32_t>(m.last_records.size());
+  log("CONTROLLER_FAULT", finish.utime, m);
+  if (sinks_.fault) sinks_.fault(m);
 }
 
 FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
@@ -141,6 +173,7 @@ FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
     m.chunk_id = step.chunk_id;
     m.chunk_index = step.chunk_index;
     m.force_peak = static_cast<float>(step.force_peak);
+    m.torque_digest = static_cast<int64_t>(step.torque_digest);
     episode.steps.push_back(encode(m));
     digest.add(episode.steps.back().data(), episode.steps.back().size());
 
@@ -156,6 +189,7 @@ FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
   end.episode_seed = static_cast<int64_t>(episode_.episode_seed);
   end.phase = static_cast<int8_t>(episode_.phase);
   end.outcome = static_cast<int8_t>(finish.outcome);
+  end.fault = static_cast<int32_t>(finish.fault);
   end.n_steps = static_cast<int32_t>(n_steps);
   end.undiscounted_return = n_steps > 0 ? rewards.back() : 0.0;
   end.env_steps_total = settings_.env_steps;

@@ -1,9 +1,12 @@
 #pragma once
 
 #include <atomic>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <string>
+#include <tandem/controller_fault_t.hpp>
+#include <tandem/controller_status_t.hpp>
 #include <tandem/policy_announce_t.hpp>
 #include <thread>
 #include <vector>
@@ -25,6 +28,7 @@ struct FinishedEpisode {
 struct RecorderSettings {
   double discount = 1.0;       ///< gamma per policy step
   int robot_state_every = 10;  ///< ticks between ROBOT_STATE in the log; 0 = none
+  bool every_tick = false;     ///< CONTROL_TICK in the log, for replay of a real-time run
   int64_t env_steps = 0;       ///< training steps that the log already holds
 };
 
@@ -33,6 +37,8 @@ struct RecorderSinks {
   std::function<void(std::shared_ptr<const FinishedEpisode>)> episode;
   std::function<void(const robot_state_t&)> robot_state;
   std::function<void(const action_chunk_t&)> chunk;
+  std::function<void(const controller_fault_t&)> fault;
+  std::function<controller_status_t()> status;  ///< kept in the log after every real-time episode
   std::function<policy_announce_t(int32_t version)>
       announcement;  ///< of a policy that came into force
 };
@@ -61,10 +67,12 @@ class Recorder {
   void take(const StepSnapshot& snapshot);
   void take(const ChunkRecord& chunk);
   void take(const HumanCommand& command);
+  void take(const GainsRecord& gains);
   void take(const StepRecord& step);
   void take(const EpisodeFinish& finish);
   void take(const PolicyInForce& policy);
   FinishedEpisode assemble(const EpisodeFinish& finish);
+  void report_fault(const EpisodeFinish& finish);
 
   template <typename Message>
   void log(const char* channel, int64_t utime, const Message& message) {
@@ -82,6 +90,7 @@ class Recorder {
   int64_t utime_ = 0;
   std::vector<std::vector<float>> observations_;
   std::vector<StepRecord> steps_;
+  std::deque<TickRecord> last_ticks_;  // what a fault report carries
   std::vector<episode_end_t> episodes_;
 
   StatusBoard& board_;

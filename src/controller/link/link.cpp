@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "controller/episode/messages.h"
+#include "controller/link/door.h"
 
 namespace tandem {
 namespace {
@@ -34,16 +35,18 @@ Link::Link(const Settings& settings, const TaskSpec& task, StatusBoard& board)
         "'; './tandem doctor' checks the network interface and the multicast route.");
   }
   refuse_second_controller();
-  // Raw, so that bytes that do not even decode are counted as well.
-  lcm_.subscribe("TELEOP_COMMAND", &Link::hear_teleop, this)->setQueueCapacity(256);
-  auto subscribe = [this](const char* channel, auto handler, int capacity) {
+  latest_gains_ = settings.gains;
+  // Raw: nothing is decoded before door.h has looked at it.
+  const auto subscribe = [this](const char* channel, auto handler, int capacity) {
     lcm_.subscribe(channel, handler, this)->setQueueCapacity(capacity);
   };
+  subscribe("TELEOP_COMMAND", &Link::hear_teleop, 256);
+  subscribe("CONTROLLER_COMMAND", &Link::hear_command, 30);
+  subscribe("IMPEDANCE_GAINS", &Link::hear_gains, 30);
   subscribe("EPISODE_ACK", &Link::hear_ack, 0);
   subscribe("EPISODE_REQUEST", &Link::hear_request, 0);
   subscribe("POLICY_ANNOUNCE", &Link::hear_announce, 0);
   subscribe("LEARNER_STATUS", &Link::hear_learner, 30);
-  subscribe("CONTROLLER_COMMAND", &Link::hear_command, 30);
 }
 
 Link::~Link() {
@@ -54,21 +57,12 @@ Link::~Link() {
 void Link::refuse_second_controller() {
   // Listen for longer than another controller can be silent, telling of ourselves meanwhile: of two
   // that start together, the one with the larger number gives way.
-  bool other = false;
-  auto* subscription = lcm_.subscribe<controller_status_t>(
-      "CONTROLLER_STATUS", [this, &other](const lcm::ReceiveBuffer*, const std::string&,
-                                          const controller_status_t* status) {
-        const bool ours = status->wall_instance == instance_;
-        const bool starting = status->state == controller_status_t::WAITING && status->ticks == 0;
-        const bool ended = status->state == controller_status_t::FINISHED ||
-                           status->state == controller_status_t::FAULTED;
-        if (!ours && !ended && (!starting || status->wall_instance < instance_)) other = true;
-      });
+  auto* subscription = lcm_.subscribe("CONTROLLER_STATUS", &Link::hear_other, this);
   const int64_t until_us = monotonic_us() + kListenUs;
   publish_status();
-  while (!other && monotonic_us() < until_us) lcm_.handleTimeout(20);
+  while (!other_controller_ && monotonic_us() < until_us) lcm_.handleTimeout(20);
   lcm_.unsubscribe(subscription);
-  if (other) {
+  if (other_controller_) {
     throw std::runtime_error("another controller is at work on the LCM network '" +
                              (settings_.url.empty() ? std::string("default") : settings_.url) +
                              "'; stop it, or give this one a network of its own with --lcm-url "
@@ -126,10 +120,19 @@ void Link::send(const policy_ack_t& ack) {
   wake();
 }
 
+void Link::send(const controller_fault_t& fault) {
+  {
+    const std::lock_guard lock(mutex_);
+    faults_.push_back(fault);
+  }
+  wake();
+}
+
 void Link::run() {
   pollfd fds[2] = {{lcm_.getFileno(), POLLIN, 0}, {wake_fd_, POLLIN, 0}};
   while (!stopping_) {
     poll(fds, 2, 20);
+    board_.link_alive_us = monotonic_us();
     if (fds[1].revents & POLLIN) {
       uint64_t count;
       [[maybe_unused]] const ssize_t got = ::read(wake_fd_, &count, sizeof(count));
@@ -140,8 +143,7 @@ void Link::run() {
       world_.pop();
       lcm_.publish("WORLD_STATE", &message);
     }
-    while (lcm_.handleTimeout(0) > 0) {
-    }
+    while (lcm_.handleTimeout(0) > 0) board_.link_alive_us = monotonic_us();
     publish_queued();
     if (monotonic_us() >= next_status_us_) {
       next_status_us_ = monotonic_us() + kStatusEveryUs;
@@ -155,6 +157,7 @@ void Link::run() {
 void Link::publish_queued() {
   std::vector<action_chunk_t> chunks;
   std::vector<policy_ack_t> acks;
+  std::vector<controller_fault_t> faults;
   std::unique_ptr<robot_state_t> robot_state;
   std::vector<std::shared_ptr<const FinishedEpisode>> due;
   const int64_t now_us = monotonic_us();
@@ -162,6 +165,7 @@ void Link::publish_queued() {
     const std::lock_guard lock(mutex_);
     chunks.swap(chunks_);
     acks.swap(acks_);
+    faults.swap(faults_);
     if (now_us >= next_robot_state_us_) robot_state.swap(robot_state_);
     for (auto& [number, pending] : pending_) {
       if (now_us < pending.send_at_us) continue;
@@ -176,28 +180,28 @@ void Link::publish_queued() {
   }
   for (const action_chunk_t& chunk : chunks) lcm_.publish("ACTION_CHUNK", &chunk);
   for (const policy_ack_t& ack : acks) lcm_.publish("POLICY_ACK", &ack);
+  for (const controller_fault_t& fault : faults) lcm_.publish("CONTROLLER_FAULT", &fault);
   for (const auto& episode : due) publish_episode(*episode, {});
 }
 
 void Link::publish_episode(const FinishedEpisode& episode, const std::vector<int32_t>& only_steps) {
-  const auto publish_step = [&](size_t i) {
+  // Each step once, whatever was asked for.
+  std::vector<bool> wanted(episode.steps.size(), only_steps.empty());
+  for (const int32_t i : only_steps) {
+    if (i >= 0 && static_cast<size_t>(i) < wanted.size()) wanted[static_cast<size_t>(i)] = true;
+  }
+  int burst = 0;
+  for (size_t i = 0; i < wanted.size(); ++i) {
+    if (!wanted[i]) continue;
     const std::vector<uint8_t>& bytes = episode.steps[i];
     lcm_.publish("EPISODE_STEP", bytes.data(), static_cast<unsigned>(bytes.size()));
     // Default socket buffers hold about 90 such messages: let the receiver keep up.
-    if (i % 32 == 31) usleep(500);
-  };
-  if (only_steps.empty()) {
-    for (size_t i = 0; i < episode.steps.size(); ++i) publish_step(i);
-  } else {
-    for (const int32_t i : only_steps) {
-      if (i >= 0 && static_cast<size_t>(i) < episode.steps.size())
-        publish_step(static_cast<size_t>(i));
-    }
+    if (++burst % 32 == 0) usleep(500);
   }
   lcm_.publish("EPISODE_END", &episode.end);
 }
 
-void Link::publish_status() {
+controller_status_t Link::status() const {
   const auto age_ms = [](int64_t last_us) {
     return last_us < 0 ? -1.0 : 1e-3 * static_cast<double>(monotonic_us() - last_us);
   };
@@ -216,65 +220,36 @@ void Link::publish_status() {
   const Histogram::Summary tick = board_.tick_time.summary(), wakeup = board_.wakeup.summary();
   std::copy(tick.begin(), tick.end(), m.wall_tick_us);
   std::copy(wakeup.begin(), wakeup.end(), m.wall_wakeup_us);
+  m.fault = board_.fault;
+  m.faults_in_a_row = board_.faults_in_a_row;
+  std::copy(board_.grades.begin(), board_.grades.end(), m.source_grade);
+  m.wall_policy_age_ms = age_ms(board_.last_chunk_us);
   m.wall_teleop_age_ms = age_ms(board_.last_teleop_us);
   m.wall_learner_age_ms = age_ms(board_.last_learner_us);
   m.teleop_accepted = board_.teleop_accepted;
   m.teleop_rejected = board_.teleop_rejected;
+  m.gains_accepted = board_.gains_accepted;
+  m.gains_rejected = board_.gains_rejected;
+  m.commands_rejected = board_.commands_rejected;
+  m.learner_rejected = board_.learner_rejected;
   m.policies_rejected = board_.policies_rejected;
+  m.chunks_taken = board_.chunks_taken;
+  m.chunks_late = board_.chunks_late;
+  std::copy(board_.chunks_refused.begin(), board_.chunks_refused.end(), m.chunks_refused);
+  m.starved_ticks = board_.starved_ticks;
+  std::copy(board_.policy_latency_ticks.begin(), board_.policy_latency_ticks.end(),
+            m.policy_latency_ticks);
+  std::copy(board_.limited_ticks.begin(), board_.limited_ticks.end(), m.limited_ticks);
   m.records_dropped = board_.records_dropped;
   m.episodes_unacknowledged = board_.episodes_unacknowledged;
+  m.last_rejection = board_.last_rejection();
   m.waiting_for = board_.waiting_for();
+  return m;
+}
+
+void Link::publish_status() {
+  const controller_status_t m = status();
   lcm_.publish("CONTROLLER_STATUS", &m);
-}
-
-void Link::hear_teleop(const lcm::ReceiveBuffer* buffer, const std::string&) {
-  teleop_command_t message;
-  HumanCommand* slot = human_commands_.claim();
-  const bool decoded = message.decode(buffer->data, 0, static_cast<int>(buffer->data_size)) >= 0;
-  if (!slot || !decoded || check_command(message, *slot) != nullptr) {
-    ++board_.teleop_rejected;
-    return;
-  }
-  human_commands_.publish();
-  ++board_.teleop_accepted;
-  board_.last_teleop_us = monotonic_us();
-  human_heard_.post();
-}
-
-void Link::hear_ack(const lcm::ReceiveBuffer*, const std::string&, const episode_ack_t* message) {
-  board_.last_learner_us = monotonic_us();
-  const std::lock_guard lock(mutex_);
-  pending_.erase(message->episode_acknowledged);
-  board_.episodes_unacknowledged = static_cast<int64_t>(pending_.size());
-}
-
-void Link::hear_request(const lcm::ReceiveBuffer*, const std::string&,
-                        const episode_request_t* message) {
-  board_.last_learner_us = monotonic_us();
-  std::shared_ptr<const FinishedEpisode> episode;
-  {
-    const std::lock_guard lock(mutex_);
-    const auto found = pending_.find(message->episode_requested);
-    if (found != pending_.end()) episode = found->second.episode;
-  }
-  if (episode) publish_episode(*episode, message->missing_steps);
-}
-
-void Link::hear_announce(const lcm::ReceiveBuffer*, const std::string&,
-                         const policy_announce_t* message) {
-  board_.last_learner_us = monotonic_us();
-  if (announced_) announced_(*message);
-}
-
-void Link::hear_learner(const lcm::ReceiveBuffer*, const std::string&, const learner_status_t*) {
-  board_.last_learner_us = monotonic_us();
-}
-
-void Link::hear_command(const lcm::ReceiveBuffer*, const std::string&,
-                        const controller_command_t* message) {
-  if (message->order == controller_command_t::ESTOP) board_.estop = true;
-  if (message->order == controller_command_t::STOP || message->order == controller_command_t::ESTOP)
-    board_.stop = true;
 }
 
 }  // namespace tandem

@@ -7,8 +7,10 @@
 #include <memory>
 #include <mutex>
 #include <tandem/controller_command_t.hpp>
+#include <tandem/controller_fault_t.hpp>
 #include <tandem/episode_ack_t.hpp>
 #include <tandem/episode_request_t.hpp>
+#include <tandem/impedance_gains_t.hpp>
 #include <tandem/learner_status_t.hpp>
 #include <tandem/policy_ack_t.hpp>
 #include <tandem/policy_announce_t.hpp>
@@ -38,6 +40,7 @@ class Link {
     bool lockstep = true;
     bool learner = false;  ///< episodes go out and are kept until acknowledged
     int64_t env_steps_budget = 0;
+    ImpedanceGains gains = {};  ///< in force at the start; what comes over the wire changes these
   };
 
   /// Joins the network. @throws std::runtime_error with a sentence when it can't, or when another
@@ -57,13 +60,19 @@ class Link {
   bool show_world(const StepSnapshot& snapshot) noexcept;
   /// Control thread: checked commands of the human, oldest first.
   SpscRing<HumanCommand>& human_commands() noexcept { return human_commands_; }
+  /// Control thread: checked gains, oldest first.
+  SpscRing<ImpedanceGains>& gains() noexcept { return gains_; }
   /// Posted after every checked command.
   Signal& human_heard() noexcept { return human_heard_; }
+
+  /// How the controller is now; any thread.
+  controller_status_t status() const;
 
   void send(std::shared_ptr<const FinishedEpisode> episode);
   void send(const robot_state_t& state);
   void send(const action_chunk_t& chunk);
   void send(const policy_ack_t& ack);
+  void send(const controller_fault_t& fault);
 
  private:
   void run();
@@ -73,15 +82,15 @@ class Link {
   void publish_episode(const FinishedEpisode& episode, const std::vector<int32_t>& only_steps);
   void publish_status();
 
+  void hear_other(const lcm::ReceiveBuffer* buffer, const std::string&);
   void hear_teleop(const lcm::ReceiveBuffer* buffer, const std::string&);
-  void hear_ack(const lcm::ReceiveBuffer*, const std::string&, const episode_ack_t* message);
-  void hear_request(const lcm::ReceiveBuffer*, const std::string&,
-                    const episode_request_t* message);
-  void hear_announce(const lcm::ReceiveBuffer*, const std::string&,
-                     const policy_announce_t* message);
-  void hear_learner(const lcm::ReceiveBuffer*, const std::string&, const learner_status_t* message);
-  void hear_command(const lcm::ReceiveBuffer*, const std::string&,
-                    const controller_command_t* message);
+  void hear_ack(const lcm::ReceiveBuffer* buffer, const std::string& channel);
+  void hear_request(const lcm::ReceiveBuffer* buffer, const std::string& channel);
+  void hear_announce(const lcm::ReceiveBuffer* buffer, const std::string& channel);
+  void hear_learner(const lcm::ReceiveBuffer* buffer, const std::string& channel);
+  void reject_learner(const std::string& channel, const std::string& why);
+  void hear_command(const lcm::ReceiveBuffer* buffer, const std::string&);
+  void hear_gains(const lcm::ReceiveBuffer* buffer, const std::string&);
 
   Settings settings_;
   const TaskSpec& task_;
@@ -89,20 +98,25 @@ class Link {
   lcm::LCM lcm_;
   const int64_t instance_;
   int wake_fd_;
+  bool other_controller_ = false;
 
   SpscRing<StepSnapshot> world_{16};
   SpscRing<HumanCommand> human_commands_{64};
+  SpscRing<ImpedanceGains> gains_{8};
+  ImpedanceGains latest_gains_;
   Signal human_heard_;
   std::function<void(const policy_announce_t&)> announced_;
 
   struct Pending {
     std::shared_ptr<const FinishedEpisode> episode;
-    int64_t send_at_us;
+    int64_t send_at_us = 0;    ///< next resend
+    int64_t answer_at_us = 0;  ///< a request is not answered before
   };
-  std::mutex mutex_;  // guards the next four
+  std::mutex mutex_;  // guards the next five
   std::map<int64_t, Pending> pending_;
   std::vector<action_chunk_t> chunks_;
   std::vector<policy_ack_t> acks_;
+  std::vector<controller_fault_t> faults_;
   std::unique_ptr<robot_state_t> robot_state_;
 
   int64_t next_status_us_ = 0, next_robot_state_us_ = 0;

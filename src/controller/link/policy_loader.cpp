@@ -14,6 +14,12 @@
 namespace tandem {
 namespace {
 
+// What is not a regular file may never end; what is long may be anything.
+constexpr uintmax_t kLargestFile = 1u << 30;
+
+// Announcements kept for those who ask again; more are a flood.
+constexpr size_t kRemembered = 1000, kQueued = 64;
+
 std::string file_digest(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file)
@@ -37,6 +43,13 @@ std::string join(const std::vector<std::string>& names) {
 std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
                                                   const std::string& sha256, const Task& task,
                                                   int horizon) {
+  std::error_code error;
+  if (!std::filesystem::is_regular_file(path, error) ||
+      std::filesystem::file_size(path, error) > kLargestFile) {
+    throw std::runtime_error(path + ": this is not a regular file of at most 1 GiB" +
+                             (error ? " (" + error.message() + ")" : "") +
+                             "; a policy file is needed here.");
+  }
   if (!sha256.empty() && file_digest(path) != sha256) {
     throw std::runtime_error(
         path +
@@ -103,6 +116,7 @@ void PolicyLoader::announce(const policy_announce_t& announcement) {
   for (const policy_announce_t& queued : queue_) {
     if (queued.version == announcement.version) return;
   }
+  if (queue_.size() == kQueued) return;  // it is announced again until it is answered
   queue_.push_back(announcement);
   lock.unlock();
   work_.notify_one();
@@ -178,6 +192,11 @@ void PolicyLoader::load(const policy_announce_t& announcement) {
     const std::filesystem::path path =
         std::filesystem::path(settings_.run_folder) / announcement.path;
     policy = load_policy(path.string(), announcement.sha256, task_, settings_.horizon);
+    if (policy->header().version != announcement.version) {
+      throw std::runtime_error(path.string() + ": the file holds version " +
+                               std::to_string(policy->header().version) + ", announced was " +
+                               std::to_string(announcement.version) + ".");
+    }
     ack.accepted = 1;
     ack.parity_error = policy->golden_error();
     ack.wall_load_us = static_cast<int32_t>(monotonic_us() - start_us);
@@ -199,8 +218,13 @@ void PolicyLoader::load(const policy_announce_t& announcement) {
     const std::lock_guard lock(mutex_);
     answered_[announcement.version] = ack;
     announced_[announcement.version] = announcement;
-    if (!ack.accepted) {
+    if (answered_.size() > kRemembered) answered_.erase(answered_.begin());
+    if (announced_.size() > kRemembered) announced_.erase(announced_.begin());
+    if (announcement.version >= newest_version_) {
+      newest_version_ = announcement.version;
       refusal_ = ack.reason;
+    }
+    if (!ack.accepted) {
       ++refused_count_;
     } else if (settings_.lockstep) {
       ready_[announcement.episodes_trained_through] = {announcement, std::move(policy)};

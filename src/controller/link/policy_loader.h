@@ -57,7 +57,7 @@ class PolicyLoader {
   /// The newest announcement of a version; empty fields when unknown.
   policy_announce_t announcement(int32_t version) const;
 
-  /// Sentence about the last refused policy, empty when none was.
+  /// Sentence about the newest announced policy when it was refused, else empty.
   std::string refusal() const;
   int64_t refused_count() const;
 
@@ -85,6 +85,7 @@ class PolicyLoader {
   policy_announce_t in_force_;       // of what was put in the slot last
   std::string refusal_;
   int64_t refused_count_ = 0;
+  int32_t newest_version_ = 0;
   bool stopping_ = false;
   std::thread thread_;
 };

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <ctime>
+#include <string>
 
 #include "base/signal.h"
+#include "controller/loop/control_settings.h"
 #include "controller/loop/status_board.h"
 
 namespace tandem {
@@ -36,8 +38,13 @@ class RealtimeClock {
   int64_t deadline_ns_ = 0;
 };
 
-/// Asks for SCHED_FIFO and locked memory for the calling thread; says once on stderr what is not
-/// allowed and goes on.
-void become_realtime(int priority);
+/// Asks for SCHED_FIFO for the calling thread. @returns empty, or why it is not allowed.
+std::string ask_for_priority(int priority);
+
+/// Makes the calling thread the control thread: SCHED_FIFO, memory locked and never given back, its
+/// stack touched, on one core if the settings name one, and no deep sleep of the processor while
+/// the process lives. What the machine does not allow is said once on stderr, each with its remedy;
+/// the run goes on without.
+void become_realtime(const RealtimeSettings& settings);
 
 }  // namespace tandem

@@ -1,38 +1,29 @@
 #include "controller/loop/control_loop.h"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+
+#include "base/signal.h"
 
 namespace tandem {
 namespace {
 
 constexpr double kGripperStroke = 0.08;  // m, Franka Hand fully open
 
-}  // namespace
+// By so much a tick the commanded pose comes to a damped arm, m and rad.
+constexpr double kFollow = 0.0002, kFollowAngle = 0.002;
 
-ControlSettings read_control(Section section) {
-  ControlSettings settings;
-  settings.gains = read_gains(section.section("law"));
-  Section reference = section.section("reference");
-  settings.reference_omega = reference.number("omega_rad_s", 10.0, 500.0);
-  const double linear = reference.number("acceleration_limit_m_s2", 0.1, 100.0);
-  const double angular = reference.number("acceleration_limit_rad_s2", 0.1, 1000.0);
-  settings.reference_acceleration << linear, linear, linear, angular, angular, angular;
-  reference.finish();
-  Section handover = section.section("handover");
-  settings.ramp_in_ticks = static_cast<int>(handover.integer("ramp_in_ms", 1, 1000));
-  settings.ramp_out_ticks = static_cast<int>(handover.integer("ramp_out_ms", 1, 1000));
-  settings.teleop_hold_ms = static_cast<int>(handover.integer("hold_after_ms", 20, 10000));
-  settings.teleop_release_ms = static_cast<int>(handover.integer("release_after_ms", 20, 60000));
-  handover.finish();
-  Section robot = section.section("robot");
-  settings.robot.collision_force = robot.number("collision_force_N", 1.0, 1000.0);
-  settings.robot.collision_torque.setConstant(robot.number("collision_torque_Nm", 1.0, 87.0));
-  robot.finish();
-  settings.force_filter_hz = section.number("force_filter_hz", 0.5, 400.0);
-  section.finish();
-  return settings;
+// Equal bits, equal digest; any other bit changes it.
+uint64_t digest(uint64_t hash, const JointVector& tau) noexcept {
+  for (int i = 0; i < 7; ++i) {
+    hash = (hash ^ std::bit_cast<uint64_t>(tau[i])) * 0x9e3779b97f4a7c15ull;
+    hash ^= hash >> 32;
+  }
+  return hash;
 }
+
+}  // namespace
 
 ControlLoop::ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task,
                          const ControlSettings& settings, const ExecutionSettings& execution,
@@ -43,27 +34,31 @@ ControlLoop::ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task,
       settings_(settings),
       records_(records),
       law_(settings.gains),
-      reference_(settings.reference_omega, settings.reference_acceleration),
-      executor_(execution, task.axes),
+      reference_(settings.reference),
+      executor_(execution, task.axes, task.ticks_per_step),
       arbiter_(settings.ramp_in_ticks, settings.ramp_out_ticks),
+      safety_(settings.safety, model, task.workspace_low, task.workspace_high),
       force_filter_gain_(1.0 -
-                         std::exp(-2.0 * 3.141592653589793 * settings.force_filter_hz * 0.001)) {}
+                         std::exp(-2.0 * 3.141592653589793 * settings.force_filter_hz * 0.001)),
+      latency_ticks_(execution.latency_ticks) {}
 
-void ControlLoop::begin_episode(const EpisodeBegin& episode, bool explore) noexcept {
+void ControlLoop::begin_episode(const EpisodeBegin& episode) noexcept {
   episode_ = episode;
   tick_ = 0;
   next_chunk_id_ = 0;
+  kept_back_.reset();
+  fault_ = Fault::none;
+  label_ = 0;
+  grades_.fill(Grade::fresh);
   human_ = HumanCommand{};
-  human_held_ = false;
   gripper_ = 1.0;
-  F_ext_.setZero();
-  F_ext_filtered_.setZero();
   measure();
   F_ext_.setZero();
   F_ext_filtered_.setZero();
   X_WE_commanded_ = arm_.X_WE;
+  law_.reset();
   reference_.reset(arm_.X_WE);
-  executor_.begin_episode(episode.episode_seed, explore);
+  executor_.begin_episode(episode.episode_seed, episode.phase == Phase::training);
   arbiter_.reset(episode.phase == Phase::demonstration);
   human_.engaged = episode.phase == Phase::demonstration;
   record(episode);
@@ -92,8 +87,7 @@ StepSnapshot ControlLoop::begin_step(const SceneTruth& truth, int64_t utime) noe
   snapshot.F_ext_W = F_ext_filtered_;
   snapshot.gripper_width = robot_.state().gripper_width;
   snapshot.truth = truth;
-  const bool policy_acts = episode_.phase != Phase::demonstration;
-  snapshot.chunk_id = policy_acts && executor_.needs_chunk(step) ? next_chunk_id_++ : -1;
+  snapshot.chunk_id = episode_.has_policy && executor_.needs_chunk(step) ? next_chunk_id_++ : -1;
 
   step_ = StepRecord{};
   step_.utime = utime;
@@ -103,52 +97,103 @@ StepSnapshot ControlLoop::begin_step(const SceneTruth& truth, int64_t utime) noe
   return snapshot;
 }
 
-void ControlLoop::accept(const Chunk& chunk, int64_t observation_tick) noexcept {
-  ChunkRecord taken{observation_tick, static_cast<int64_t>(chunk.start_step) * task_.ticks_per_step,
-                    chunk};
-  if (executor_.accept(chunk)) record(taken);
+void ControlLoop::accept(const Chunk& chunk) noexcept {
+  if (tick_ < chunk.observation_tick + latency_ticks_) {
+    kept_back_ = chunk;
+  } else {
+    take_over(chunk);
+  }
 }
 
-void ControlLoop::hear(const HumanCommand& command) noexcept {
+void ControlLoop::take_over(const Chunk& chunk) noexcept {
+  const Verdict verdict = executor_.accept(chunk, tick_);
+  if (verdict != Verdict::taken && verdict != Verdict::taken_late) return;
+  record(ChunkRecord{static_cast<int64_t>(chunk.start_step) * task_.ticks_per_step, tick_, chunk});
+}
+
+void ControlLoop::hear(const HumanCommand& command, int64_t utime) noexcept {
   human_ = command;
-  human_held_ = false;
+  human_heard_us_ = utime;
+  // A verdict counts for the episode that it was given on; a device that does not look gives it on
+  // the running one.
+  const bool this_episode =
+      command.episode_answered < 0 || command.episode_answered == episode_.episode;
+  if (label_ == 0 && this_episode) label_ = command.label;
   record(command);
 }
 
-void ControlLoop::human_silent(int64_t age_ms) noexcept {
-  human_held_ = age_ms > settings_.teleop_hold_ms;
-  if (age_ms > settings_.teleop_release_ms) human_.engaged = false;
+void ControlLoop::set_gains(const ImpedanceGains& gains, int64_t utime) noexcept {
+  law_.set_gains(gains);
+  record(GainsRecord{utime, gains});
+}
+
+void ControlLoop::stop(Fault fault) noexcept {
+  if (fault_ == Fault::none) fault_ = fault;
+  robot_.stop();
+}
+
+void ControlLoop::grade_sources(const TickInput& input) noexcept {
+  const auto age_ms = [&](int64_t since_us) {
+    return 1e-3 * static_cast<double>(input.utime - since_us);
+  };
+  const WatchdogSettings& watchdog = settings_.watchdog;
+  if (human_.engaged && episode_.has_policy &&
+      age_ms(human_heard_us_) > watchdog.operator_release_after_ms) {
+    human_.engaged = false;
+  }
+  const bool policy_in_charge = episode_.has_policy && !human_.engaged;
+  if (!policy_in_charge || executor_.due(step_.step)) action_due_us_ = input.utime;
+  if (action_due_us_ != input.utime) ++starved_ticks_;
+
+  grades_[0] = watchdog.policy.grade(age_ms(action_due_us_));
+  grades_[1] = human_.engaged ? watchdog.operator_.grade(age_ms(human_heard_us_)) : Grade::fresh;
+  grades_[2] = watchdog.link.grade(input.link_age_ms);
 }
 
 Action ControlLoop::human_action() const noexcept {
   Action action = Action::Zero();
-  if (!human_held_) action.head<6>() = human_.twist.cwiseProduct(task_.axes.head<6>());
+  if (grades_[1] == Grade::fresh)
+    action.head<6>() = human_.twist.cwiseProduct(task_.axes.head<6>());
   action[6] = task_.axes[6] != 0.0 ? human_.gripper : gripper_;
   return action;
 }
 
-void ControlLoop::move_commanded_pose(const Twist& increment) noexcept {
-  // The commanded pose may lead the measured one by the error clip and no more: an increment that
-  // would widen a lead beyond it is cut, so that nothing winds up while the arm is blocked. A lead
-  // that is already there is left alone.
-  const Twist lead = minus(X_WE_commanded_, arm_.X_WE);
-  Twist allowed;
-  for (int i = 0; i < 6; ++i) {
-    const double clip = settings_.gains.error_clip[i];
-    allowed[i] = increment[i] >= 0.0 ? std::min(increment[i], std::max(0.0, clip - lead[i]))
-                                     : std::max(increment[i], std::min(0.0, -clip - lead[i]));
+// By how much the commanded pose should move in this tick, base axes.
+Twist ControlLoop::wanted_increment(const Action& blended) const noexcept {
+  const Grade worst = *std::max_element(grades_.begin(), grades_.end());
+  if (worst >= Grade::damp) {
+    // Whoever pushes the arm takes the commanded pose along, so that it does not spring back.
+    Twist reach;
+    reach << kFollow, kFollow, kFollow, kFollowAngle, kFollowAngle, kFollowAngle;
+    return minus(arm_.X_WE, X_WE_commanded_).cwiseMax(-reach).cwiseMin(reach);
   }
-  X_WE_commanded_ = add(X_WE_commanded_, allowed);
+  if (grades_[2] == Grade::hold) return Twist::Zero();
+  return blended.head<6>().cwiseProduct(task_.action_limit) / task_.ticks_per_step;
+}
+
+// The commanded pose may lead the measured one by the error clip and no more: an increment that
+// would widen a lead beyond it is cut, so that nothing winds up while the arm is blocked.
+void ControlLoop::move_commanded_pose(const Twist& increment) noexcept {
+  const Twist lead = minus(X_WE_commanded_, arm_.X_WE);
+  X_WE_commanded_ = add(X_WE_commanded_, law_.allowed(increment, lead, arm_.X_WE.R));
   X_WE_commanded_.p =
       X_WE_commanded_.p.cwiseMax(task_.workspace_low).cwiseMin(task_.workspace_high);
 }
 
-void ControlLoop::tick(int64_t utime) noexcept {
+void ControlLoop::tick(const TickInput& input) noexcept {
+  if (fault_ != Fault::none) return robot_.miss();  // its brakes have the arm
+  if (robot_.state().fault != Fault::none) return stop(robot_.state().fault);
   measure();
+  if (tick_ == 0) human_heard_us_ = action_due_us_ = input.utime;
+  if (kept_back_ && tick_ >= kept_back_->observation_tick + latency_ticks_) {
+    take_over(*kept_back_);
+    kept_back_.reset();
+  }
 
   // Who asks for what, and how much each of them counts.
+  grade_sources(input);
   const double alpha = arbiter_.step(human_.engaged);
-  if (arbiter_.released()) executor_.invalidate();
+  if (arbiter_.released()) executor_.invalidate(tick_);
   const Action policy = executor_.action(step_.step, gripper_);
   const Action human = human_action();
   const Action blended = (1.0 - alpha) * policy + alpha * human;
@@ -160,28 +205,14 @@ void ControlLoop::tick(int64_t utime) noexcept {
   }
 
   // Commanded pose -> reference -> torque.
-  move_commanded_pose(blended.head<6>().cwiseProduct(task_.action_limit) / task_.ticks_per_step);
+  move_commanded_pose(wanted_increment(blended));
+  law_.set_damped(*std::max_element(grades_.begin(), grades_.end()) >= Grade::damp);
   const PoseReference& reference = reference_.step(X_WE_commanded_);
   const JointVector tau =
-      torque_filter_.limit(law_.torque(arm_, reference), robot_.state().tau_commanded);
+      safety_.limit(arm_, law_.torque(arm_, reference), robot_.state().tau_commanded);
 
-  // What the record of this tick and of this step needs, before the robot moves on.
-  if (Record* slot = records_.claim()) {
-    TickRecord& now = slot->emplace<TickRecord>();
-    now.utime = utime;
-    now.tick = tick_;
-    now.robot = robot_.state();
-    now.X_WE = arm_.X_WE;
-    now.X_WE_reference = reference.X_WE;
-    now.V_WE = arm_.V_WE;
-    now.F_ext_W = F_ext_filtered_;
-    now.force_bound = law_.force_bound();
-    now.tau_commanded = tau;
-    now.alpha = alpha;
-    records_.publish();
-  } else {
-    ++records_dropped_;
-  }
+  // The record of this tick and of this step, before the robot moves on.
+  note(input, tau);
   alpha_sum_ += alpha;
   step_.policy = policy;
   if (human_.engaged) step_.human = human;
@@ -194,10 +225,41 @@ void ControlLoop::tick(int64_t utime) noexcept {
   }
   step_.force_peak = std::max(step_.force_peak, F_ext_.head<3>().norm());
   step_.force_filtered_peak = std::max(step_.force_filtered_peak, F_ext_filtered_.head<3>().norm());
+  step_.torque_digest = digest(step_.torque_digest, tau);
 
+  computed_ns_ = monotonic_ns();
   robot_.write(tau);
   ++tick_;
   ++ticks_;
+
+  // What ends the motion.
+  constexpr Fault kSilent[3] = {Fault::policy_silent, Fault::operator_silent, Fault::link_silent};
+  if (robot_.state().fault != Fault::none) return stop(robot_.state().fault);
+  if (safety_.acted() & SafetyFilter::not_finite) return stop(Fault::not_finite);
+  for (int source = 0; source < 3; ++source) {
+    if (grades_[source] == Grade::stop) return stop(kSilent[source]);
+  }
+}
+
+void ControlLoop::note(const TickInput& input, const JointVector& tau) noexcept {
+  Record* slot = records_.claim();
+  if (!slot) {
+    ++records_dropped_;
+    return;
+  }
+  TickRecord& now = slot->emplace<TickRecord>();
+  now.input = input;
+  now.tick = tick_;
+  now.robot = robot_.state();
+  now.X_WE = arm_.X_WE;
+  now.X_WE_reference = reference_.reference().X_WE;
+  now.V_WE = arm_.V_WE;
+  now.F_ext_W = F_ext_filtered_;
+  now.force_bound = law_.force_bound(arm_.X_WE.R);
+  now.tau_commanded = tau;
+  now.alpha = arbiter_.alpha();
+  now.limits_acted = safety_.acted();
+  records_.publish();
 }
 
 StepRecord ControlLoop::end_step() noexcept {

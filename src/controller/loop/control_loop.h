@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <optional>
 
 #include "base/spsc_ring.h"
@@ -7,61 +8,58 @@
 #include "controller/chunk/reference_filter.h"
 #include "controller/episode/record.h"
 #include "controller/law/cartesian_impedance.h"
-#include "controller/robot/mujoco_robot.h"
-#include "controller/safety/torque_filter.h"
+#include "controller/loop/control_settings.h"
+#include "controller/safety/safety_filter.h"
+#include "controller/safety/watchdog.h"
 #include "controller/task/task.h"
 #include "intervention/arbiter.h"
 
 namespace tandem {
 
-/// The `controller` section of the scenario, apart from the law's gains. See config/controller.yaml
-/// for units and reasons.
-struct ControlSettings {
-  ImpedanceGains gains;
-  double reference_omega = 0.0;  ///< rad/s
-  Twist reference_acceleration;  ///< m/s^2, rad/s^2
-  double force_filter_hz = 0.0;  ///< cut-off of the wrench that observation and operator see
-  int ramp_in_ticks = 1, ramp_out_ticks = 1;
-  MujocoRobotOptions robot;                       ///< reflex thresholds
-  int teleop_hold_ms = 0, teleop_release_ms = 0;  ///< real time: age of the human's last word
-};
-
-/// @throws ScenarioError
-ControlSettings read_control(Section section);
-
 /// The 1 kHz loop: the way of an action from chunk to torque.
 ///
 ///   chunk -> action due -> blend with the human (increments) -> commanded pose (lead and box
-///   limits)
-///         -> reference filter -> impedance law -> torque filter -> robot -> record
+///   limits) -> reference filter -> impedance law -> safety filter -> robot -> record
 ///
-/// The caller owns time: it calls begin_step(), tick() x ticks_per_step, end_step(), and hands
-/// chunks and human commands over in between. Nothing here allocates, locks, logs or throws; a
-/// record that finds the ring full is dropped and counted.
+/// Its caller owns time: it calls begin_step(), tick() x ticks_per_step, end_step(), and hands
+/// chunks, gains and human commands over in between. What a tick computes depends on nothing but
+/// these calls and the robot's states, so a log that holds both can be computed again to the bit.
+///
+/// A source that falls silent is answered by grades (WatchdogSettings): its motion is held, then
+/// the stiffness fades, then the robot is stopped with a fault. A silent human who has the arm is
+/// taken as gone when there is a policy to hand back to.
+///
+/// Nothing here allocates, locks, logs or throws; a record that finds the ring full is dropped and
+/// counted.
 class ControlLoop {
  public:
   ControlLoop(Robot& robot, ArmModel& model, const TaskSpec& task, const ControlSettings& settings,
               const ExecutionSettings& execution, SpscRing<Record>& records);
 
-  /// Commanded pose, reference and authority start from where the arm is.
-  void begin_episode(const EpisodeBegin& episode, bool explore) noexcept;
+  /// Commanded pose, reference and authority start from where the arm is. Silence of the sources
+  /// counts from the first tick.
+  void begin_episode(const EpisodeBegin& episode) noexcept;
 
   /// A policy step begins. @param utime us. The snapshot says whether an inference is due (chunk_id
   /// >= 0).
   StepSnapshot begin_step(const SceneTruth& truth, int64_t utime) noexcept;
 
-  /// A new chunk; its record is kept with the tick at which it took effect.
-  void accept(const Chunk& chunk, int64_t observation_tick) noexcept;
+  /// A new chunk takes over in the next tick, or is refused and counted. In lockstep it is kept
+  /// back until it is as old as the modelled latency (ExecutionSettings).
+  void accept(const Chunk& chunk) noexcept;
 
-  /// The human's latest word. It stays in force until the next.
-  void hear(const HumanCommand& command) noexcept;
+  /// The human's latest word. It stays in force until the next, or until he has been silent for too
+  /// long. @param utime us, of the tick that follows.
+  void hear(const HumanCommand& command, int64_t utime) noexcept;
 
-  /// Nothing was heard from the human for `age_ms` (real time): first his motion is held, then he
-  /// is taken as gone.
-  void human_silent(int64_t age_ms) noexcept;
+  /// Checked gains, ramped in from the next tick. @param utime us, of the tick that follows.
+  void set_gains(const ImpedanceGains& gains, int64_t utime) noexcept;
 
   /// One millisecond.
-  void tick(int64_t utime) noexcept;
+  void tick(const TickInput& input) noexcept;
+
+  /// Ends the motion now, from outside of a tick, with a fault that stays until begin_episode().
+  void stop(Fault fault) noexcept;
 
   /// The policy step ends. @returns its record, which is also pushed.
   StepRecord end_step() noexcept;
@@ -69,19 +67,39 @@ class ControlLoop {
   /// Pushes any other record.
   void record(const Record& record) noexcept;
 
+  /// Why the motion is over, or none: the robot's own fault or the controller's. The first one
+  /// stays until begin_episode().
+  Fault fault() const noexcept { return fault_; }
+
+  /// The human's verdict on this episode, LABEL_NONE until he gives one; the first one stays.
+  int8_t label() const noexcept { return label_; }
+
   const RobotState& robot_state() const noexcept { return robot_.state(); }
   const ArmState& arm() const noexcept { return arm_; }
   const Pose& commanded_pose() const noexcept { return X_WE_commanded_; }
+  const PoseReference& reference() const noexcept { return reference_.reference(); }
   double alpha() const noexcept { return arbiter_.alpha(); }
   const HumanCommand& human() const noexcept { return human_; }
+  const ChunkExecutor& executor() const noexcept { return executor_; }
+  const CartesianImpedance& law() const noexcept { return law_; }
+  const SafetyFilter& safety() const noexcept { return safety_; }
+
+  /// Of policy, operator and link, in the latest tick.
+  const std::array<Grade, 3>& grades() const noexcept { return grades_; }
+  int64_t starved_ticks() const noexcept { return starved_ticks_; }
+  /// When the latest tick had its torque ready, monotonic ns: what follows is the robot's time.
+  int64_t computed_ns() const noexcept { return computed_ns_; }
   int64_t ticks() const noexcept { return ticks_; }
   int64_t records_dropped() const noexcept { return records_dropped_; }
-  int64_t not_finite_count() const noexcept { return torque_filter_.not_finite_count(); }
 
  private:
   void measure() noexcept;
+  void take_over(const Chunk& chunk) noexcept;
+  void grade_sources(const TickInput& input) noexcept;
+  Twist wanted_increment(const Action& blended) const noexcept;
   void move_commanded_pose(const Twist& increment) noexcept;
   Action human_action() const noexcept;
+  void note(const TickInput& input, const JointVector& tau) noexcept;
 
   Robot& robot_;
   ArmModel& model_;
@@ -93,18 +111,24 @@ class ControlLoop {
   ReferenceFilter reference_;
   ChunkExecutor executor_;
   Arbiter arbiter_;
-  TorqueFilter torque_filter_;
+  SafetyFilter safety_;
 
   ArmState arm_;
   Pose X_WE_commanded_;
   HumanCommand human_;
-  bool human_held_ = false;
+  int64_t human_heard_us_ = 0, action_due_us_ = 0;
+  std::array<Grade, 3> grades_{};
+  Fault fault_ = Fault::none;
+  int8_t label_ = 0;
   Wrench F_ext_ = Wrench::Zero(), F_ext_filtered_ = Wrench::Zero();
   double force_filter_gain_ = 1.0, gripper_ = 1.0;
 
   EpisodeBegin episode_;
-  int64_t tick_ = 0, ticks_ = 0, records_dropped_ = 0;
+  int64_t computed_ns_ = 0;
+  int64_t tick_ = 0, ticks_ = 0, starved_ticks_ = 0, records_dropped_ = 0;
   int32_t next_chunk_id_ = 0;
+  const int32_t latency_ticks_;
+  std::optional<Chunk> kept_back_;
   Pose X_WE_commanded_at_step_;
   StepRecord step_;
   double alpha_sum_ = 0.0;

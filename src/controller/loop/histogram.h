@@ -3,11 +3,12 @@
 #include <array>
 #include <atomic>
 #include <cstdint>
+#include <vector>
 
 namespace tandem {
 
-/// Distribution of a duration: 0.2 us wide buckets up to 2 ms, the exact maximum beyond. One thread
-/// adds, any thread reads.
+/// Distribution of a duration: 0.2 us wide buckets up to 10 ms, the exact maximum beyond. One
+/// thread adds, any thread reads.
 class Histogram {
  public:
   /// p50, p99, p99.9 and max, us.
@@ -38,8 +39,16 @@ class Histogram {
     return result;
   }
 
+  /// Of all buckets, up to the last that is not empty.
+  std::vector<int64_t> counts() const {
+    std::vector<int64_t> result(counts_.begin(), counts_.end());
+    while (!result.empty() && result.back() == 0) result.pop_back();
+    return result;
+  }
+
+  static constexpr int64_t kBucketNs = 200, kBuckets = 50001;
+
  private:
-  static constexpr int64_t kBucketNs = 200, kBuckets = 10001;
   std::array<std::atomic<int64_t>, kBuckets> counts_{};
   std::atomic<int64_t> max_ns_{0}, total_{0};
 };

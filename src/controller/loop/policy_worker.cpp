@@ -1,12 +1,18 @@
 #include "controller/loop/policy_worker.h"
 
+#include "controller/loop/clock.h"
+
 namespace tandem {
 
-PolicyWorker::PolicyWorker(const Task& task, policy::PolicySlot& slot) : task_(task), slot_(slot) {
+PolicyWorker::PolicyWorker(const Task& task, policy::PolicySlot& slot, int priority)
+    : task_(task), slot_(slot) {
   for (int axis = 0, output = 0; axis < 7; ++axis) {
     if (task.spec().axes[axis] != 0.0) axis_of_output_[output++] = axis;
   }
-  thread_ = std::thread([this] { run(); });
+  thread_ = std::thread([this, priority] {
+    if (priority > 0) ask_for_priority(priority);
+    run();
+  });
 }
 
 PolicyWorker::~PolicyWorker() {
@@ -28,7 +34,6 @@ void PolicyWorker::run() noexcept {
       PolicyAnswer* answer = answers_.claim();
       if (!answer) break;
       answer->observation.step = snapshot->step;
-      answer->observation_tick = snapshot->tick;
       task_.observation().write(*snapshot, answer->observation.values.data());
       answer->has_chunk = false;
       if (snapshot->chunk_id >= 0) infer(*snapshot, *answer);
@@ -49,6 +54,7 @@ void PolicyWorker::infer(const StepSnapshot& snapshot, PolicyAnswer& answer) noe
   const policy::Header& header = active->policy->header();
   Chunk& chunk = answer.chunk;
   chunk.id = snapshot.chunk_id;
+  chunk.observation_tick = snapshot.tick;
   chunk.policy_version = static_cast<int32_t>(header.version);
   chunk.start_step = snapshot.step;
   chunk.horizon = static_cast<int32_t>(header.horizon);

@@ -15,7 +15,6 @@ namespace tandem {
 /// What the policy thread made of a snapshot.
 struct PolicyAnswer {
   ObservationRecord observation;
-  int64_t observation_tick = 0;
   bool has_chunk = false;
   Chunk chunk;
 };
@@ -24,7 +23,8 @@ struct PolicyAnswer {
 /// the policy in force. Both directions are wait-free for the control thread.
 class PolicyWorker {
  public:
-  PolicyWorker(const Task& task, policy::PolicySlot& slot);
+  /// @param priority SCHED_FIFO, below the control thread's; 0 = like any other thread.
+  PolicyWorker(const Task& task, policy::PolicySlot& slot, int priority = 0);
   ~PolicyWorker();
 
   /// Control thread, at the start of a step. @returns false when the worker lags by a whole ring.

@@ -4,28 +4,26 @@
 #include <cstdio>
 #include <thread>
 
-#include "base/random.h"
-
 namespace tandem {
 namespace {
 
 using std::chrono::milliseconds;
 
-constexpr int kFaultsInARow = 5;
-constexpr int64_t kAskAgainUs = 50'000;  // WORLD_STATE is repeated after this
-constexpr int64_t kOperatorDeadlineUs = 30'000'000;
-constexpr int64_t kLearnerDeadlineUs = 120'000'000;  // of silence, not of training
-constexpr int64_t kPolicyDeadlineUs = 10'000'000;
-
-// Streams of episode seeds; evaluation never meets an episode of training, whatever the seeds.
-constexpr uint64_t kTrainingStream = 1, kEvaluationStream = 2;
+constexpr char kAwaitingRecovery[] = "an order to recover (./tandem command recover), for ";
+constexpr int kInFlightMs = 200;      // longer than an order is under way
+constexpr int kBrakingCycles = 2000;  // the arm stands long before
+constexpr double kStanding = 0.005;   // rad/s
 
 }  // namespace
 
-Run::Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& model,
-         ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader,
-         SpscRing<Record>& records, StatusBoard& board, RunPosition position)
+// Present when bench/allocation_counter is preloaded: heap allocations of the calling thread.
+extern "C" long tandem_allocations() __attribute__((weak));
+
+Run::Run(const RunSettings& settings, const ControlSettings& control, Task& task,
+         MujocoRobot& robot, ArmModel& model, ControlLoop& loop, PolicyWorker& worker, Link* link,
+         PolicyLoader* loader, SpscRing<Record>& records, StatusBoard& board, RunPosition position)
     : settings_(settings),
+      control_(control),
       task_(task),
       robot_(robot),
       model_(model),
@@ -40,8 +38,10 @@ Run::Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& 
   board_.env_steps = position_.env_steps;
 }
 
+bool counts_allocations() { return tandem_allocations != nullptr; }
+
 int Run::execute() {
-  if (!settings_.lockstep) become_realtime(80);
+  if (!settings_.lockstep) become_realtime(control_.realtime);
   try {
     while (!finished()) episode();
     robot_.stop();
@@ -49,10 +49,8 @@ int Run::execute() {
     return 0;
   } catch (const Stopped&) {
     robot_.stop();
-    const bool emergency = board_.estop;
-    board_.state = emergency ? controller_status_t::FAULTED : controller_status_t::FINISHED;
-    if (emergency) std::fprintf(stderr, "stopped by an e-stop command; the arm holds still.\n");
-    return emergency ? 3 : 130;
+    board_.state = controller_status_t::FINISHED;
+    return 130;
   } catch (const Failed& failed) {
     robot_.stop();
     board_.state = controller_status_t::FAULTED;
@@ -75,7 +73,7 @@ bool Run::finished() const {
 }
 
 void Run::episode() {
-  stop_if_asked();
+  while_waiting();
   EpisodeBegin begin;
   begin.episode = episode_ = position_.next_episode;
   const bool evaluation = settings_.mode == RunMode::evaluate || settings_.mode == RunMode::bench;
@@ -85,11 +83,8 @@ void Run::episode() {
   begin.phase = evaluation      ? Phase::evaluation
                 : demonstration ? Phase::demonstration
                                 : Phase::training;
-  // 63 bits: it travels as a signed number.
-  begin.episode_seed = Random{settings_.seed, evaluation ? kEvaluationStream : kTrainingStream,
-                              static_cast<uint64_t>(begin.episode)}
-                           .next() >>
-                       1;
+  begin.has_policy = settings_.has_policy(begin.phase);
+  begin.episode_seed = settings_.episode_seed(begin.episode);
   board_.episode = begin.episode;
   board_.phase = static_cast<int8_t>(begin.phase);
   tick_ = 0;
@@ -98,17 +93,23 @@ void Run::episode() {
 
   board_.state = controller_status_t::RESETTING;
   task_.reset(robot_, model_, begin.episode_seed);
-  if (!robot_.recover()) throw Failed{"the robot's fault can't be cleared; see ROBOT_STATE.fault."};
-  board_.state = controller_status_t::RUNNING;
+  robot_.seed_faults(begin.episode_seed);
+  board_.discard = false;
+  loop_.begin_episode(begin);
+  Outcome outcome = run_steps();
 
-  Outcome outcome = run_steps(begin);
-  const Fault fault = robot_.state().fault;
-  robot_.stop();
+  // The motion ends in good order, or has ended by a fault already.
+  Fault fault = loop_.fault();
+  if (fault == Fault::none) fault = finish_motion();
+  if (fault != Fault::none) outcome = Outcome::fault;
   if (begin.phase == Phase::demonstration && settings_.mode == RunMode::train &&
       outcome != Outcome::success && outcome != Outcome::fault) {
     outcome = Outcome::discard;  // only good demonstrations are learnt from
   }
-  loop_.record(EpisodeFinish{utime(), outcome, fault});
+  faults_in_a_row_ = outcome == Outcome::fault ? faults_in_a_row_ + 1 : 0;
+  board_.faults_in_a_row = faults_in_a_row_;
+  loop_.record(
+      EpisodeFinish{utime(), tick_, outcome, fault, faults_in_a_row_, control_.faults_in_a_row});
 
   episode_end_t end;
   end.episode = begin.episode;
@@ -120,75 +121,103 @@ void Run::episode() {
   position_.add(end);
   board_.env_steps = position_.env_steps;
   board_.records_dropped = loop_.records_dropped();
-
-  faults_in_a_row_ = outcome == Outcome::fault ? faults_in_a_row_ + 1 : 0;
-  if (faults_in_a_row_ >= kFaultsInARow) {
-    throw Failed{std::to_string(kFaultsInARow) +
-                 " episodes in a row ended in a robot fault, the last one because " +
-                 fault_text(fault) + "; the arm holds still."};
-  }
+  if (fault != Fault::none) halt(fault);
 }
 
-void Run::wait_for_policy(int64_t episode) {
-  board_.state = controller_status_t::WAITING;
-  const int64_t through =
-      std::max(episode - 1 - settings_.learner_lag, position_.last_demonstration);
-  const int64_t start_us = monotonic_us();
-  for (;;) {
-    // In real time any policy will do: later ones come into force at a chunk boundary by
-    // themselves.
-    const int32_t version = settings_.lockstep ? loader_->put_in_force(through, milliseconds(20))
-                                               : loader_->version_in_force();
-    if (version != 0) {
-      board_.wait_for("");
-      if (settings_.lockstep) {
-        policy_version_ = version;
-        board_.policy_version = version;
-        loop_.record(PolicyInForce{utime(), version});
+// A fault is latched: nothing moves until someone orders recovery, and that only so many times in a
+// row.
+void Run::halt(Fault fault) {
+  clock_.restart();
+  for (int cycle = 0; robot_.state().dq.norm() > kStanding && cycle < kBrakingCycles; ++cycle)
+    pass_cycle();
+  if (faults_in_a_row_ >= control_.faults_in_a_row) {
+    throw Failed{std::to_string(faults_in_a_row_) +
+                 " episodes in a row ended in a fault, the last one because " + fault_text(fault) +
+                 "; the arm holds still. The limit is controller.faults_in_a_row."};
+  }
+  if (has_operator() || board_.estop) {
+    board_.recover = false;
+    board_.fault = static_cast<int32_t>(fault);
+    board_.state = controller_status_t::HALTED;
+    board_.wait_for(kAwaitingRecovery + std::string(fault_text(fault)));
+    board_.estop = false;
+    while (!board_.recover.exchange(false)) {
+      stop_if_asked();
+      forget_what_was_said();
+      // An e-stop while something else is latched needs an order of its own.
+      if (board_.estop.exchange(false)) {
+        fault = Fault::estop;
+        board_.fault = static_cast<int32_t>(fault);
+        board_.wait_for(kAwaitingRecovery + std::string(fault_text(fault)));
+        std::this_thread::sleep_for(milliseconds(kInFlightMs));
+        board_.recover = false;  // that order was on its way for the other fault
       }
-      return;
+      std::this_thread::sleep_for(milliseconds(5));
     }
-    board_.wait_for("the learner, to have trained on episode " + std::to_string(through));
-    stop_if_asked();
-    if (!loader_->refusal().empty())
-      throw Failed{"the learner's policy was refused: " + loader_->refusal()};
-    const int64_t heard_us = std::max(board_.last_learner_us.load(), start_us);
-    if (monotonic_us() - heard_us > kLearnerDeadlineUs) {
-      throw Failed{
-          "the learner has been silent for 120 s; is it running? Its last words are in "
-          "learner.out."};
+    board_.fault = 0;
+    board_.wait_for("");
+  }
+  clock_.restart();
+  // A robot that still moves, or whose button is pressed, does not recover.
+  for (int cycle = 0; !robot_.recover(); ++cycle) {
+    if (cycle == kBrakingCycles) {
+      throw Failed{std::string("the robot's fault can't be cleared: ") +
+                   fault_text(robot_.state().fault) + "."};
     }
-    if (!settings_.lockstep) std::this_thread::sleep_for(milliseconds(20));
+    pass_cycle();
   }
 }
 
-Outcome Run::run_steps(const EpisodeBegin& begin) {
-  const bool explore = begin.phase == Phase::training;
-  loop_.begin_episode(begin, explore);
+// A cycle in which the robot has itself in hand.
+void Run::pass_cycle() {
+  if (!settings_.lockstep) clock_.wait();
+  robot_.miss();
+}
+
+Fault Run::finish_motion() {
+  while (!robot_.finish()) {
+    if (settings_.lockstep) continue;
+    for (int missed = clock_.wait(); missed > 0; --missed) robot_.miss();
+  }
+  return robot_.state().fault;
+}
+
+Outcome Run::run_steps() {
   tick_ = 0;
   n_steps_ = 0;
   intervened_ = false;
+  missed_cycles_ = 0;
   Outcome outcome = Outcome::timeout;
-  const int64_t not_finite_before = loop_.not_finite_count();
-  clock_.restart();
   for (int32_t step = 0; step < task_.spec().max_steps; ++step) {
+    stop_if_asked();
     StepSnapshot snapshot = loop_.begin_step(task_.truth(robot_.simulation()), utime());
+    if (step == 0 && !settings_.lockstep) {
+      await_operator(snapshot);
+      forget_what_was_said();
+      clock_.restart();
+    }
+    board_.state = controller_status_t::RUNNING;
     start_step(snapshot, false);
     ticks_of_step();
     intervened_ |= loop_.end_step().intervention;
     ++n_steps_;
+    publish_gauges();
 
-    if (robot_.state().fault != Fault::none || loop_.not_finite_count() > not_finite_before) {
+    if (loop_.fault() != Fault::none) {
       outcome = Outcome::fault;
       break;
     }
-    if (task_.succeeded(task_.truth(robot_.simulation()))) {
+    if (task_.succeeded(task_.truth(robot_.simulation())) ||
+        loop_.label() == teleop_command_t::LABEL_SUCCESS) {
       outcome = Outcome::success;
       break;
     }
-    const int8_t label = loop_.human().label;
-    if (label == teleop_command_t::LABEL_DISCARD || label == teleop_command_t::LABEL_FAIL) {
-      outcome = label == teleop_command_t::LABEL_FAIL ? Outcome::failure : Outcome::discard;
+    if (loop_.label() == teleop_command_t::LABEL_FAIL) {
+      outcome = Outcome::failure;
+      break;
+    }
+    if (loop_.label() == teleop_command_t::LABEL_DISCARD || board_.discard) {
+      outcome = Outcome::discard;
       break;
     }
     relieve_recorder();
@@ -199,107 +228,53 @@ Outcome Run::run_steps(const EpisodeBegin& begin) {
   return outcome;
 }
 
-void Run::start_step(StepSnapshot& snapshot, bool last) {
-  snapshot.autonomous_success = position_.autonomous_success();
-  if (last) snapshot.chunk_id = -1;
-  if (!worker_.ask(snapshot) && settings_.lockstep)
-    throw Failed{"the policy thread does not answer; this is a bug."};
-  loop_.record(snapshot);
-  if (link_ && has_operator() && !last) link_->show_world(snapshot);
-  if (settings_.lockstep || last) await_answer(snapshot.step);
-  if (settings_.lockstep && has_operator() && !last) await_human(snapshot);
-}
-
 void Run::ticks_of_step() {
-  for (int i = 0; i < task_.spec().ticks_per_step; ++i) {
+  for (int i = 0; i < task_.spec().ticks_per_step && loop_.fault() == Fault::none; ++i) {
+    int missed = 0;
     if (!settings_.lockstep) {
       // A late tick costs the robot a cycle, as on the real one.
-      for (int missed = clock_.wait(); missed > 0; --missed) robot_.miss();
-      poll_partners();
+      missed = clock_.wait();
+      for (int n = 0; n < missed; ++n) robot_.miss();
     }
-    if (board_.estop) {
-      robot_.stop();
-      throw Stopped{};
-    }
-    const int64_t start_ns = monotonic_ns();
-    loop_.tick(utime());
-    board_.tick_time.add_ns(monotonic_ns() - start_ns);
-    ++tick_;
+    tick(missed);
   }
   board_.ticks = loop_.ticks();
+}
+
+void Run::tick(int missed_cycles) {
+  const int64_t start_ns = monotonic_ns();
+  const int64_t allocations_before = tandem_allocations ? tandem_allocations() : 0;
+  TickInput input{.utime = utime(), .missed_cycles = missed_cycles};
+  if (!settings_.lockstep) {
+    poll_partners(input.utime);
+    if (link_) input.link_age_ms = 1e-3 * static_cast<double>(input.utime - board_.link_alive_us);
+  }
+  if (board_.estop) {
+    loop_.stop(Fault::estop);
+    return;
+  }
+  loop_.tick(input);
+  ++tick_;
+  if (tandem_allocations) board_.allocations += tandem_allocations() - allocations_before;
+  board_.tick_time.add_ns(loop_.computed_ns() - start_ns);
+  board_.robot_time.add_ns(monotonic_ns() - loop_.computed_ns());
+}
+
+void Run::publish_gauges() {
+  const auto copy = [](const auto& from, auto& to) {
+    for (size_t i = 0; i < to.size(); ++i)
+      to[i] = static_cast<typename std::decay_t<decltype(to[i])>::value_type>(from[i]);
+  };
+  copy(loop_.grades(), board_.grades);
+  const ChunkCounts& chunks = loop_.executor().counts();
+  board_.chunks_taken = chunks.taken;
+  board_.chunks_late = chunks.late;
+  copy(chunks.refused, board_.chunks_refused);
+  copy(loop_.safety().counts(), board_.limited_ticks);
+  board_.policy_latency_ticks[0] = static_cast<int32_t>(loop_.executor().latency_ticks());
+  board_.policy_latency_ticks[1] = static_cast<int32_t>(loop_.executor().largest_latency_ticks());
+  board_.starved_ticks = loop_.starved_ticks();
   board_.records_dropped = loop_.records_dropped();
-}
-
-void Run::take_answer(const PolicyAnswer& answer) {
-  loop_.record(answer.observation);
-  if (!answer.has_chunk) return;
-  if (answer.chunk.policy_version != policy_version_) {
-    policy_version_ = answer.chunk.policy_version;
-    board_.policy_version = policy_version_;
-    if (!settings_.lockstep) loop_.record(PolicyInForce{utime(), policy_version_});
-  }
-  loop_.accept(answer.chunk, answer.observation_tick);
-}
-
-void Run::await_answer(int32_t step) {
-  const int64_t start_us = monotonic_us();
-  for (;;) {
-    while (const PolicyAnswer* answer = worker_.answer()) {
-      const bool this_step = answer->observation.step == step;
-      take_answer(*answer);
-      worker_.pop_answer();
-      if (this_step) return;
-    }
-    worker_.answered().wait_for(milliseconds(100));
-    if (monotonic_us() - start_us > kPolicyDeadlineUs) {
-      throw Failed{"the policy thread has not answered step " + std::to_string(step) +
-                   " for 10 s; this is a bug."};
-    }
-  }
-}
-
-void Run::await_human(const StepSnapshot& snapshot) {
-  const int64_t start_us = monotonic_us();
-  int64_t asked_us = start_us;
-  for (;;) {
-    while (const HumanCommand* command = link_->human_commands().front()) {
-      const bool this_tick =
-          command->episode_answered == snapshot.episode && command->tick_answered == snapshot.tick;
-      if (this_tick) {
-        loop_.hear(*command);
-      } else {
-        ++board_.teleop_rejected;  // an answer to an earlier tick, or to none
-      }
-      link_->human_commands().pop();
-      if (this_tick) return;
-    }
-    link_->human_heard().wait_for(milliseconds(50));
-    const int64_t now_us = monotonic_us();
-    if (now_us - asked_us < kAskAgainUs) continue;
-    stop_if_asked();
-    asked_us = now_us;
-    link_->show_world(snapshot);
-    if (now_us - start_us > 1'000'000) board_.wait_for("the operator, to answer WORLD_STATE");
-    if (now_us - start_us > kOperatorDeadlineUs) {
-      throw Failed{
-          "the operator has not answered WORLD_STATE for 30 s; is it running? Its last words are "
-          "in operator.out."};
-    }
-  }
-}
-
-void Run::poll_partners() {
-  while (const PolicyAnswer* answer = worker_.answer()) {
-    take_answer(*answer);
-    worker_.pop_answer();
-  }
-  if (!link_) return;
-  while (const HumanCommand* command = link_->human_commands().front()) {
-    loop_.hear(*command);
-    link_->human_commands().pop();
-  }
-  const int64_t last_us = board_.last_teleop_us.load(std::memory_order_relaxed);
-  if (last_us >= 0) loop_.human_silent((monotonic_us() - last_us) / 1000);
 }
 
 int64_t Run::utime() const {
@@ -313,12 +288,6 @@ int64_t Run::utime() const {
 
 void Run::stop_if_asked() const {
   if (board_.stop) throw Stopped{};
-}
-
-void Run::relieve_recorder() const {
-  if (!settings_.lockstep) return;
-  while (records_.size() > records_.capacity() / 2)
-    std::this_thread::sleep_for(std::chrono::microseconds(100));
 }
 
 }  // namespace tandem

@@ -15,13 +15,17 @@
 
 namespace tandem {
 
+/// Whether heap allocations of the control thread are counted: bench/allocation_counter is
+/// preloaded.
+bool counts_allocations();
+
 /// The control thread's programme: which episode comes next, under which policy, in which phase;
 /// and within an episode, what is waited for (lockstep) or polled (real time) around the ticks.
 class Run {
  public:
   /// @param link,loader null where the mode has no partner.
-  Run(const RunSettings& settings, Task& task, MujocoRobot& robot, ArmModel& model,
-      ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader,
+  Run(const RunSettings& settings, const ControlSettings& control, Task& task, MujocoRobot& robot,
+      ArmModel& model, ControlLoop& loop, PolicyWorker& worker, Link* link, PolicyLoader* loader,
       SpscRing<Record>& records, StatusBoard& board, RunPosition position);
 
   /// Runs to the end. @returns the process's exit code: 0 finished, 3 fault (sentence on stderr),
@@ -37,21 +41,31 @@ class Run {
   bool finished() const;
   void episode();
   void wait_for_policy(int64_t episode);
-  Outcome run_steps(const EpisodeBegin& begin);
+  Outcome run_steps();
+  void await_operator(const StepSnapshot& snapshot);
   void ticks_of_step();
+  void tick(int missed_cycles);
+  Fault finish_motion();
+  void halt(Fault fault);
+  void pass_cycle();
+  void publish_gauges();
   void start_step(StepSnapshot& snapshot, bool last);
   void await_answer(int32_t step);
   void await_human(const StepSnapshot& snapshot);
-  void poll_partners();
+  void poll_partners(int64_t now_us);
+  void forget_what_was_said();
   void take_answer(const PolicyAnswer& answer);
+  /// In modes without an operator nobody is there to order a recovery; they run in simulation only.
   bool has_operator() const {
     return settings_.mode == RunMode::train || settings_.mode == RunMode::demonstrate;
   }
   int64_t utime() const;
   void stop_if_asked() const;
+  void while_waiting();
   void relieve_recorder() const;
 
   RunSettings settings_;
+  ControlSettings control_;
   Task& task_;
   MujocoRobot& robot_;
   ArmModel& model_;
@@ -69,6 +83,7 @@ class Run {
   bool intervened_ = false;
   int n_steps_ = 0;
   int faults_in_a_row_ = 0;
+  int missed_cycles_ = 0;
 };
 
 }  // namespace tandem

@@ -2,10 +2,15 @@
 
 #include <tandem/world_state_t.hpp>
 
+#include "base/random.h"
+
 namespace tandem {
 namespace {
 
 constexpr size_t kRecentEpisodes = 20;
+
+// Streams of episode seeds; evaluation never meets an episode of training, whatever the seeds.
+constexpr uint64_t kTrainingStream = 1, kEvaluationStream = 2;
 
 }  // namespace
 
@@ -32,6 +37,12 @@ RunSettings read_run(Section section) {
   }
   section.finish();
   return settings;
+}
+
+uint64_t RunSettings::episode_seed(int64_t episode) const {
+  const bool evaluation = mode == RunMode::evaluate || mode == RunMode::bench;
+  const uint64_t stream = evaluation ? kEvaluationStream : kTrainingStream;
+  return Random{seed, stream, static_cast<uint64_t>(episode)}.next() >> 1;
 }
 
 void RunPosition::add(const episode_end_t& end) {

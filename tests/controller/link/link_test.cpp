@@ -105,7 +105,31 @@ TEST_F(LinkTest, EmergencyStopIsHeardFromAnyone) {
   controller_command_t order{};
   order.order = controller_command_t::ESTOP;
   peer_.publish("CONTROLLER_COMMAND", &order);
-  EXPECT_TRUE(eventually([&] { return board_.estop && board_.stop; }));
+  EXPECT_TRUE(eventually([&] { return board_.estop.load(); }));
+  EXPECT_FALSE(board_.stop);  // the arm holds; the run waits for an order
+}
+
+TEST_F(LinkTest, OrdersAndGainsThatMakeNoSenseAreRejectedWithTheirReason) {
+  settings_.gains.apparent_inertia.setOnes();
+  Link link(settings_, task_, board_);
+  link.start();
+  controller_command_t order{};
+  order.order = 77;
+  peer_.publish("CONTROLLER_COMMAND", &order);
+  EXPECT_TRUE(eventually([&] { return board_.commands_rejected == 1; }));
+  impedance_gains_t gains{};
+  gains.damping_ratio = 1.0;
+  gains.stiffness[0][0] = -5.0;
+  peer_.publish("IMPEDANCE_GAINS", &gains);
+  EXPECT_TRUE(eventually([&] { return board_.gains_rejected == 1; }));
+  EXPECT_NE(board_.last_rejection().find("IMPEDANCE_GAINS"), std::string::npos);
+  EXPECT_EQ(link.gains().size(), 0u);
+  gains.stiffness[0][0] = 500.0;
+  for (double& clip : gains.error_clip_high) clip = 0.01;
+  for (double& clip : gains.error_clip_low) clip = 0.01;
+  peer_.publish("IMPEDANCE_GAINS", &gains);
+  EXPECT_TRUE(eventually([&] { return board_.gains_accepted == 1; }));
+  EXPECT_EQ(link.gains().size(), 1u);
 }
 
 }  // namespace

@@ -105,5 +105,30 @@ TEST_F(PolicyLoaderTest, RefusedPolicyIsAcknowledgedWithItsReasonAndChangesNothi
   EXPECT_EQ(slot.acquire(), nullptr);
 }
 
+TEST_F(PolicyLoaderTest, RefusesWhatIsNoRegularFileInsteadOfReadingItForEver) {
+  EXPECT_THROW(load_policy("/dev/zero", std::string(64, 'a'), *task_, 1), std::runtime_error);
+  EXPECT_THROW(load_policy(".", "", *task_, 1), std::runtime_error);
+}
+
+TEST_F(PolicyLoaderTest, RefusesAFileOfAnotherVersionThanAnnouncedAndForgetsItAfterAGoodOne) {
+  policy::PolicySlot slot;
+  std::atomic<int> answers{0};
+  PolicyLoader loader(slot, *task_, {.run_folder = "", .horizon = 1, .lockstep = false},
+                      [&](const policy_ack_t&) { ++answers; });
+  const auto answered = [&](int n) {
+    for (int i = 0; i < 500 && answers < n; ++i) std::this_thread::sleep_for(milliseconds(10));
+  };
+  policy_announce_t wrong = announcement(3, 1);
+  wrong.version = 4;
+  loader.announce(wrong);
+  answered(1);
+  EXPECT_NE(loader.refusal().find("holds version 3, announced was 4"), std::string::npos);
+  EXPECT_EQ(loader.version_in_force(), 0);
+  loader.announce(announcement(5, 2));
+  answered(2);
+  EXPECT_EQ(loader.refusal(), "");
+  EXPECT_EQ(loader.version_in_force(), 5);
+}
+
 }  // namespace
 }  // namespace tandem
