@@ -17,6 +17,7 @@ from tandem_lcm.tandem.learner_status_t import learner_status_t
 from tandem_lcm.tandem.robot_state_t import robot_state_t
 from tandem_lcm.tandem.world_state_t import world_state_t
 
+from tandem.faults import fault_text
 from tandem.scenario import Scenario
 from tandem.statistics import percent, share
 
@@ -31,6 +32,7 @@ STATES = {
     controller_status_t.RESETTING: "resetting",
     controller_status_t.FINISHED: "finished",
     controller_status_t.FAULTED: "faulted",
+    controller_status_t.HALTED: "halted",
 }
 OUTCOMES = {
     episode_end_t.SUCCESS: "success",
@@ -69,7 +71,10 @@ class Progress:
             self.recent.append(end)
 
     def on_status(self, data: bytes) -> None:
-        self.status = controller_status_t.decode(data)
+        self.take_status(controller_status_t.decode(data))
+
+    def take_status(self, status: Any) -> None:
+        self.status = status
         if not self.steps_seen or time.monotonic() - self.steps_seen[-1][0] > 0.25:
             self.steps_seen.append((time.monotonic(), self.status.env_steps_total))
 
@@ -138,7 +143,7 @@ def rows(
         robot = robot_state_t.decode(progress.robot)
         shown["arm"] = f"{ROBOT_MODES.get(robot.robot_mode, '?')}, human authority {robot.alpha:.2f}"
         if robot.fault:
-            shown["arm"] += f", fault {robot.fault}"
+            shown["arm"] += f", {fault_text(robot.fault)}"
     if learner is not None:
         doing = "training" if learner.training else "waiting for episodes"
         shown["learner"] = (

@@ -54,6 +54,8 @@ def receive_buffer() -> int:
 class Child:
     """One program in a process group of its own, stdout and stderr appended to a file.
 
+    With `terminal` it stays in our group and has our terminal; only its stderr goes to the file.
+
     It gets SIGTERM when the thread that started it dies, kill -9 included, so start it from the main thread.
     """
 
@@ -64,7 +66,9 @@ class Child:
         out: Path,
         nice: int = 0,
         environment: dict[str, str] | None = None,
+        terminal: bool = False,
     ) -> None:
+        self._grouped = not terminal
         self.name = name
         self.command = [str(part) for part in command]
         self.out = out
@@ -82,10 +86,10 @@ class Child:
         with out.open("ab") as file:
             self._process = subprocess.Popen(
                 self.command,
-                stdin=subprocess.DEVNULL,
-                stdout=file,
-                stderr=subprocess.STDOUT,
-                start_new_session=True,
+                stdin=None if terminal else subprocess.DEVNULL,
+                stdout=None if terminal else file,
+                stderr=file,
+                start_new_session=not terminal,
                 cwd=ROOT,  # scenarios name models relative to the tree
                 preexec_fn=in_child,
                 env={**os.environ, **(environment or {})},
@@ -103,7 +107,7 @@ class Child:
         """To the whole group, so that a program started through a shell or a wrapper hears it too."""
         if self.poll() is None:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(self.pid, signal_number)
+                (os.killpg if self._grouped else os.kill)(self.pid, signal_number)
 
     def stop(self, patience_s: float) -> int:
         """SIGTERM, then after `patience_s` SIGKILL. Returns the exit code."""

@@ -63,6 +63,16 @@ class RunFolder:
         """LEARNER_STATUS over the run, one line a report."""
         return self.path / "progress.csv"
 
+    @property
+    def progress_text(self) -> Path:
+        """What a training says while a person has its terminal."""
+        return self.path / "train.out"
+
+    @property
+    def lcm_url(self) -> Path:
+        """The LCM address of the run, there while it is going."""
+        return self.path / "lcm_url"
+
     def checkpoints(self) -> dict[int, Path]:
         """env_steps -> policy file, ascending."""
         found = {}

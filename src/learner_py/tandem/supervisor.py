@@ -27,6 +27,7 @@ from tandem import live_view, processes, summary
 from tandem.checkpoints import Checkpoints
 from tandem.conclusion import conclude
 from tandem.evaluation import EvaluationError
+from tandem.lent_terminal import COMEBACK_S, LentTerminal
 from tandem.processes import Child
 from tandem.run_clock import Clock
 from tandem.run_folder import RunFolder, RunFolderError, program, shown
@@ -37,7 +38,6 @@ CONTROLLER_PATIENCE_S = 10.0  # to bring the arm to rest and close the log
 OPERATOR_PATIENCE_S = 5.0
 LEARNER_PATIENCE_S = 60.0  # to save its checkpoint
 FAREWELL_S = 10.0  # between the ends of programs that belong together
-
 
 STOPPED_BY_REQUEST = tuple(code for code in processes.STOPPED if code != 0)
 
@@ -63,7 +63,7 @@ class Settings:
     resume_command: str
     lcm_url: str | None = None
     fresh: bool = False
-    operator: str = "scripted"  # or none: a program of the user's answers WORLD_STATE
+    operator: str = "scripted"  # or keyboard, gamepad; or none: a program of the user's answers WORLD_STATE
 
 
 def train(settings: Settings, console: Console) -> int:
@@ -81,11 +81,12 @@ def train(settings: Settings, console: Console) -> int:
         )
         return 1
     except Interrupted:
-        console.print(
-            "Stopped; nothing is lost. To go on:\n  " + settings.resume_command,
-            soft_wrap=True,
-            highlight=False,
-        )
+        with contextlib.suppress(OSError):  # the terminal may be what was lost
+            console.print(
+                "Stopped; nothing is lost. To go on:\n  " + settings.resume_command,
+                soft_wrap=True,
+                highlight=False,
+            )
         return 130
 
 
@@ -151,6 +152,7 @@ class _Supervisor:
         self.started = time.monotonic()
         self._last_line = -math.inf
         self._live: Live | None = None
+        self._lent = LentTerminal(settings.operator)
 
     # ---- the run from top to bottom
 
@@ -167,11 +169,14 @@ class _Supervisor:
             self._recall()
             try:
                 self._check_scenario()
-                with self._view():
-                    if not self._trained():
+                if not self._trained():
+                    with self._told_in_file() if self._lent.person else self._view():
                         self._start()
                         self._watch()
+                        self._end_operator()
+                    with self._view():
                         self._farewell()
+                with self._view():
                     value = conclude(
                         self.folder,
                         self.scenario,
@@ -183,6 +188,7 @@ class _Supervisor:
                     )
             finally:
                 self._end_all()
+                self.folder.lcm_url.unlink(missing_ok=True)
                 self.clock.save()
         finally:
             lock.close()
@@ -247,12 +253,17 @@ class _Supervisor:
         }
         if self.settings.operator == "scripted":
             commands["operator"] = [program("tandem_operator"), *common]
+        elif self._lent.person:
+            teleop = [sys.executable, "-m", "tandem", "teleop", self.settings.operator, "--within-training"]
+            commands["operator"] = [*teleop, "--run", path, "--lcm-url", url]
         for command in commands.values():
             if sentence := processes.missing_program(command):
                 raise TrainingError(sentence)
         self._say(f"Training in {shown(path)}; to look on: LCM_DEFAULT_URL='{url}'")
+        self.folder.lcm_url.write_text(url + "\n")
         for name, command in commands.items():
-            self.children[name] = Child(name, command, path / f"{name}.out")
+            person = name == "operator" and self._lent.person
+            self.children[name] = Child(name, command, path / f"{name}.out", terminal=person)
 
     def _subscribe(self) -> None:
         handlers: dict[str, Callable[[bytes], None]] = {
@@ -313,7 +324,7 @@ class _Supervisor:
         controller = self.children["controller"]
         while (code := controller.poll()) is None:
             self._tick(self.progress.phase)
-            for name, child in self.children.items():
+            for name, child in list(self.children.items()):
                 if name != "controller" and child.poll() is not None:
                     self._ended_early(child)
         if code in STOPPED_BY_REQUEST:
@@ -323,12 +334,27 @@ class _Supervisor:
             raise TrainingError(self.scenario.explain(controller.death()), exit_code=2 if code == 2 else 1)
 
     def _ended_early(self, child: Child) -> None:
-        """Operator or learner ended; fine only when the controller is ending as well."""
+        """Operator or learner ended; fine only when the controller is ending as well.
+
+        A person's program is started again: meanwhile the controller has held the arm and handed it back.
+        """
+        if child.name == "operator" and not self._controller_ends() and self._lent.may_come_back():
+            self._say(child.death())
+            self._bring_back(child)
+            return
         deadline = time.monotonic() + (FAREWELL_S if child.poll() == 0 or self._controller_ends() else 1.0)
         while self.children["controller"].poll() is None:
             if time.monotonic() > deadline:
                 raise TrainingError(self.scenario.explain(child.death()))
             self._tick(self.progress.phase)
+
+    def _bring_back(self, person: Child) -> None:
+        self._lent.take_back(person)
+        deadline = time.monotonic() + COMEBACK_S
+        while time.monotonic() < deadline and self.children["controller"].poll() is None:
+            self._tick(self.progress.phase)
+        self._say(f"The {person.name} is started again.")
+        self.children["operator"] = Child(person.name, person.command, person.out, terminal=True)
 
     def _controller_ends(self) -> bool:
         status = self.progress.status
@@ -337,10 +363,13 @@ class _Supervisor:
             controller_status_t.FAULTED,
         )
 
-    def _farewell(self) -> None:
-        """After the controller's good end the learner trains what is left and writes its last checkpoint."""
+    def _end_operator(self) -> None:
         if operator := self.children.get("operator"):
             operator.stop(OPERATOR_PATIENCE_S)
+            self._lent.take_back(operator)
+
+    def _farewell(self) -> None:
+        """After the controller's good end the learner trains what is left and writes its last checkpoint."""
         learner = self.children["learner"]
         episodes = summary.read_episodes(self.folder.log)
         last = episodes[-1].episode if episodes else -1
@@ -405,8 +434,20 @@ class _Supervisor:
                 _complain(f"The {name} did not end within {seconds:.0f} s of being asked and was killed.")
                 child.send(signal.SIGKILL)
                 child.wait(1.0)
+            if name == "operator":
+                self._lent.take_back(child)
 
     # ---- showing
+
+    @contextlib.contextmanager
+    def _told_in_file(self) -> Iterator[None]:
+        """While a person has the terminal."""
+        ours = self.console
+        with self._lent.writing_to(self.folder.progress_text) as self.console:
+            try:
+                yield
+            finally:
+                self.console = ours
 
     @contextlib.contextmanager
     def _view(self) -> Iterator[None]:
@@ -436,4 +477,4 @@ class _Supervisor:
             title += " · Ctrl-C stops, the same command resumes"
             self._live.update(live_view.panel(title, rows, self.progress), refresh=True)
         else:
-            print(live_view.line(now - self.started, rows), flush=True)
+            self._say(live_view.line(now - self.started, rows))

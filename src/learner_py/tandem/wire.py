@@ -21,12 +21,15 @@ from typing import Any, TypeVar
 
 import lcm
 from tandem_lcm.tandem.action_chunk_t import action_chunk_t
+from tandem_lcm.tandem.control_tick_t import control_tick_t
 from tandem_lcm.tandem.controller_command_t import controller_command_t
+from tandem_lcm.tandem.controller_fault_t import controller_fault_t
 from tandem_lcm.tandem.controller_status_t import controller_status_t
 from tandem_lcm.tandem.episode_ack_t import episode_ack_t
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.episode_request_t import episode_request_t
 from tandem_lcm.tandem.episode_step_t import episode_step_t
+from tandem_lcm.tandem.impedance_gains_t import impedance_gains_t
 from tandem_lcm.tandem.learner_status_t import learner_status_t
 from tandem_lcm.tandem.policy_ack_t import policy_ack_t
 from tandem_lcm.tandem.policy_announce_t import policy_announce_t
@@ -37,9 +40,10 @@ from tandem_lcm.tandem.world_state_t import world_state_t
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 
-# channel -> type; SCENARIO is only found in event logs
+# channel -> type; SCENARIO and CONTROL_TICK are only found in event logs
 CHANNELS: dict[str, type] = {
     "SCENARIO": scenario_t,
+    "CONTROL_TICK": control_tick_t,
     "ROBOT_STATE": robot_state_t,
     "WORLD_STATE": world_state_t,
     "TELEOP_COMMAND": teleop_command_t,
@@ -52,6 +56,8 @@ CHANNELS: dict[str, type] = {
     "POLICY_ACK": policy_ack_t,
     "CONTROLLER_STATUS": controller_status_t,
     "CONTROLLER_COMMAND": controller_command_t,
+    "CONTROLLER_FAULT": controller_fault_t,
+    "IMPEDANCE_GAINS": impedance_gains_t,
     "LEARNER_STATUS": learner_status_t,
 }
 CHANNEL_OF: dict[type, str] = {message_type: channel for channel, message_type in CHANNELS.items()}
@@ -99,6 +105,10 @@ class Wire:
     def publish(self, message: Any) -> None:
         """Sends the message on the channel of its type."""
         self._lcm.publish(CHANNEL_OF[type(message)], message.encode())
+
+    def fileno(self) -> int:
+        """Readable when there is something to handle; for select."""
+        return int(self._lcm.fileno())
 
     def subscribe(self, message_type: type[Message], handler: Callable[[Message, bytes], None]) -> None:
         """Calls handler(message, data) from `handle`. The queue of EPISODE_* channels is unlimited: a burst of steps

@@ -3,7 +3,7 @@
 import typer
 
 from tandem import __version__
-from tandem.cli import bench, demo, doctor, evaluate, log, table, test, train
+from tandem.cli import bench, command, demo, doctor, evaluate, log, replay, table, teleop, test, train
 
 app = typer.Typer(
     name="tandem",
@@ -37,6 +37,9 @@ app.command("demo")(demo.demo)
 app.command("test", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(test.test)
 app.add_typer(bench.app, name="bench")
 app.command("table")(table.table)
+app.command("replay")(replay.replay)
+app.command("teleop")(teleop.teleop)
+app.add_typer(command.app, name="command")
 app.command("doctor")(doctor.doctor)
 app.add_typer(log.app, name="log")
 

@@ -1,12 +1,13 @@
 """`tandem train TASK`."""
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tandem.cli.common import SetOption, same_command, sentences
+from tandem.cli.common import SetOption, fail, same_command, sentences
 
 
 class Clock(StrEnum):
@@ -16,7 +17,12 @@ class Clock(StrEnum):
 
 class Operator(StrEnum):
     scripted = "scripted"
+    keyboard = "keyboard"
+    gamepad = "gamepad"
     none = "none"
+
+
+PERSONS = (Operator.keyboard, Operator.gamepad)
 
 
 def train(
@@ -34,7 +40,10 @@ def train(
     ] = Clock.lockstep,
     operator: Annotated[
         Operator,
-        typer.Option(help="scripted: a stand-in for a person; none: your own program answers WORLD_STATE."),
+        typer.Option(
+            help="scripted: a stand-in for a person; keyboard, gamepad: you, in real time (see ./tandem teleop);"
+            " none: your own program answers WORLD_STATE."
+        ),
     ] = Operator.scripted,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start anew; the old folder is kept as DIR.old-N.")
@@ -59,6 +68,14 @@ def train(
     with sentences():
         values = {"mode": "train", "seed": seed, "clock": clock.value}
         composed = scenario.compose(run_folder.CONFIG, task, method, values, overrides or [])
+        if operator in PERSONS and composed.run["clock"] != "realtime":
+            fail(
+                f"--operator {operator.value} needs --clock realtime: in lockstep the arm waits for an answer to each"
+                " step, and time does not pass as it does for you.",
+                2,
+            )
+        if operator in PERSONS and not (sys.stdin.isatty() and sys.stdout.isatty()):
+            fail(f"--operator {operator.value} needs a terminal, and stdin or stdout is none.", 2)
         folder = run or run_folder.default_run(task, method, composed.run["seed"])
         settings = supervisor.Settings(
             folder=run_folder.RunFolder(folder.absolute()),
