@@ -45,11 +45,23 @@ def run_episodes():
 class FakeController(threading.Thread):
     """Plays the controller in lockstep, and checks what it gets. Loses the steps that it is told to lose, once each."""
 
-    def __init__(self, url: str, run: Path, lose=(), refuse="", first_episode=0, announce_limit=99) -> None:
+    def __init__(
+        self,
+        url: str,
+        run: Path,
+        lose=(),
+        refuse="",
+        n_refused=99,
+        first_episode=0,
+        announce_limit=99,
+        deliver=99,
+    ) -> None:
         super().__init__(daemon=True)
         self.wire, self.run_folder = Wire(url), run
         self.lose, self.refuse = set(lose), refuse
         self.first_episode, self.announce_limit = first_episode, announce_limit
+        self.n_refused = n_refused  # announcements that `refuse` is the answer to
+        self.deliver = deliver  # episodes from this on stay in the log; somebody else has acknowledged them
         self.episodes = list(run_episodes())
         self.number = first_episode
         self.acked: list[int] = []
@@ -65,6 +77,8 @@ class FakeController(threading.Thread):
 
     def _on_request(self, request: episode_request_t, _data: bytes) -> None:
         self.requests.append((request.episode_requested, list(request.missing_steps)))
+        if request.episode_requested >= self.deliver:
+            return
         steps, end = self.episodes[request.episode_requested]
         for index in request.missing_steps or range(end.n_steps):
             self.wire.publish(steps[index])
@@ -76,7 +90,10 @@ class FakeController(threading.Thread):
         assert (file.n_bytes, file.sha256) == (announce.n_bytes, announce.sha256)
         self.policies[announce.episodes_trained_through] = announce
         ack = policy_ack_t()
-        ack.version_answered, ack.accepted, ack.reason = announce.version, int(not self.refuse), self.refuse
+        refused = self.refuse != "" and self.n_refused > 0
+        self.n_refused -= 1
+        ack.version_answered, ack.accepted = announce.version, int(not refused)
+        ack.reason = self.refuse if refused else ""
         self.wire.publish(ack)
 
     def _until(self, condition) -> None:
@@ -104,6 +121,9 @@ class FakeController(threading.Thread):
                 needed = max(number - 1 - LAG, N_DEMONSTRATIONS - 1)
                 self._until(lambda needed=needed: needed in self.policies)
             steps, end = self.episodes[number]
+            if number >= self.deliver:
+                self.acked.append(number)
+                continue
             for step in steps:
                 if (number, step.step) in self.lose:
                     self.lose.discard((number, step.step))
@@ -129,12 +149,12 @@ class FakeController(threading.Thread):
 
 
 def learn(
-    run: Path, stop_after_updates: int | None = None, **facts
+    run: Path, stop_after_updates: int | None = None, controller_type=FakeController, **facts
 ) -> tuple[int, FakeController, LearnerProcess]:
     """Runs learner and controller until the learner ends."""
     run.mkdir(exist_ok=True)
     url = free_lcm_url()
-    controller = FakeController(url, run, **facts)
+    controller = controller_type(url, run, **facts)
     process = LearnerProcess(LearnerScenario.model_validate(support.scenario_data()), run, url)
     if stop_after_updates is not None:
         after_block = process._after_block
@@ -259,6 +279,36 @@ def test_refused_policy_stops_the_run_with_its_reason(tmp_path, capsys):
         "The controller refuses policy 1 (policies/policy_000001.safetensors): golden.chunk differs"
         in capsys.readouterr().out
     )
+
+
+def test_refusal_of_somebody_elses_file_under_our_number_does_not_stop_the_run(tmp_path):
+    exit_code, controller, _ = learn(
+        tmp_path / "run", refuse="the file's SHA-256 is not the announced one.", n_refused=2
+    )
+    assert exit_code == FINISHED
+    assert len(controller.policies) == N_EPISODES - N_DEMONSTRATIONS + 1
+
+
+def test_last_episode_that_was_never_delivered_is_learnt_from_the_log(reference, tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    support.write_log(run / "log.lcm", list(run_episodes())[:-1])
+    log_of_all = tmp_path / "all.lcm"
+    support.write_log(log_of_all, list(run_episodes()))
+
+    class LateLog(FakeController):
+        """Its log holds the last episode from the very end on."""
+
+        def _until(self, condition) -> None:
+            if self.state == controller_status_t.FINISHED:
+                (run / "log.lcm").write_bytes(log_of_all.read_bytes())
+            super()._until(condition)
+
+    exit_code, controller, process = learn(run, controller_type=LateLog, deliver=N_EPISODES - 1)
+    assert exit_code == FINISHED
+    assert process.trainer.position.episodes_trained_through == N_EPISODES - 1
+    assert same_policies(reference[0], run)
+    assert controller.statuses[-1][1].buffer_steps == process.trainer.buffer.size
 
 
 def test_foreign_episode_under_a_known_number_stops_the_run(tmp_path, capsys):

@@ -30,12 +30,16 @@ RESEND_S = 0.5
 HEARTBEAT_S = 0.8
 # An episode that the controller believes delivered but that we lost in a crash is asked for after this long.
 LOST_EPISODE_S = 2.0
+# A refusal may be meant for a file that somebody else announced under our number; ours is announced again, and is at
+# fault when it is refused so many times.
+N_REFUSALS = 3
 
 
 @dataclass
 class _Announcement:
     message: policy_announce_t
     acknowledged: bool = False
+    refusals: int = 0
     sent: float = -1e9  # monotonic s
 
 
@@ -180,11 +184,16 @@ class Link:
             announcement = self._announcements.get(ack.version_answered)
             if announcement is None:
                 return
-            if not ack.accepted:
+            announcement.acknowledged = bool(ack.accepted)
+            if ack.accepted:
+                announcement.refusals = 0
+                return
+            announcement.refusals += 1
+            announcement.sent = -1e9  # at once
+            if announcement.refusals >= N_REFUSALS:
                 self._refuse(
                     f"The controller refuses policy {ack.version_answered} ({announcement.message.path}): {ack.reason}"
                 )
-            announcement.acknowledged = True
 
     def _on_status(self, status: controller_status_t, _data: bytes) -> None:
         with self._lock:

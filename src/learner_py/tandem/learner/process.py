@@ -142,7 +142,8 @@ class LearnerProcess:
                 return episode, FINISHED
             now = time.monotonic()
             if self._run_is_over(now - began):
-                return self.link.take(number, timeout_s=0.0), FINISHED  # it may have come this very moment
+                self._offer_log()  # what the controller believes delivered, and what it had no time to deliver
+                return self.link.take(number, timeout_s=0.0), FINISHED
             silence = min(self.link.silence_s, now - began)
             for limit in SILENCE_TOLD_S:
                 if told < limit <= silence:
@@ -178,6 +179,7 @@ class LearnerProcess:
     def _end(self, exit_code: int) -> int:
         position = self.trainer.position
         self._save(every_s=0.0)
+        self._report(training=False)  # after a resume nothing may have been trained, and so nothing told
         if (
             exit_code == FINISHED
             and position.version > 0
