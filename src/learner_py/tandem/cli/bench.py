@@ -1,4 +1,4 @@
-"""`tandem bench sim`: how fast we simulate, beside a peer in the same run."""
+"""`tandem bench`: `sim`, how fast we simulate, beside a peer in the same run; the others have files of their own."""
 
 import json
 import os
@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tandem.cli import bench_handover, bench_loop, bench_soak, bench_tracking
 from tandem.cli.common import JsonOption, SetOption, fail, sentences, write_json
 from tandem.processes import Command
 
@@ -19,6 +20,12 @@ app = typer.Typer(help="Measure speed; each figure beside a peer's from the same
 @app.callback()
 def _group() -> None:
     """Measure speed; each figure beside a peer's from the same run."""
+
+
+app.command("handover")(bench_handover.handover)
+app.command("tracking")(bench_tracking.tracking)
+app.command("loop")(bench_loop.loop)
+app.command("soak")(bench_soak.soak)
 
 
 @app.command("sim")
