@@ -21,6 +21,7 @@ COMMANDS = [
     "test",
     "bench",
     "bench sim",
+    "bench loop",
     "table",
     "doctor",
     "log",
