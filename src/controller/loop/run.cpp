@@ -135,12 +135,13 @@ void Run::halt(Fault fault) {
                  " episodes in a row ended in a fault, the last one because " + fault_text(fault) +
                  "; the arm holds still. The limit is controller.faults_in_a_row."};
   }
-  if (has_operator() || board_.estop) {
+  // An e-stop may have come while the arm was braking for something else.
+  if (board_.estop.exchange(false)) fault = Fault::estop;
+  if (has_operator() || fault == Fault::estop) {
     board_.recover = false;
     board_.fault = static_cast<int32_t>(fault);
     board_.state = controller_status_t::HALTED;
     board_.wait_for(kAwaitingRecovery + std::string(fault_text(fault)));
-    board_.estop = false;
     while (!board_.recover.exchange(false)) {
       stop_if_asked();
       forget_what_was_said();
