@@ -1,5 +1,6 @@
 """`tandem test`: its own options and the reports of the sanitizers."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,8 @@ from tandem.run_folder import ROOT
 def test_every_fuzz_target_is_called(tmp_path: Path) -> None:
     source = (ROOT / "tests" / "fuzz" / "targets.cpp").read_text()
     table = source[source.index("all = {") :]
-    assert [name for name in FUZZED if f'{{"{name}"' not in table] == []
-    assert table.count('{"') - table.count('{{"') == len(FUZZED) - 1
+    table = table[: table.index("};")]
+    assert re.findall(r'\{"(\w+)"', table) == list(FUZZED)
 
 
 def test_an_unknown_fuzz_target_is_refused_with_the_names_there_are() -> None:
