@@ -1,5 +1,8 @@
 """All commands of ./tandem."""
 
+import os
+import sys
+
 import typer
 
 from tandem import __version__
@@ -45,4 +48,19 @@ app.add_typer(log.app, name="log")
 
 
 def main() -> None:
-    app(prog_name="tandem")
+    try:
+        app(prog_name="tandem")
+    finally:
+        _flush()
+
+
+def _flush() -> None:
+    """Whoever listened may be gone (a closed terminal, a pipe): what is left goes nowhere, our exit code stays.
+
+    Python would end with 120 instead, depending on whether anything was left to write.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
