@@ -109,18 +109,18 @@ void Replay::episode(const EpisodeEvents& events) {
   drain();
 }
 
-bool Replay::hand_over(const HandOff& hand_off, int64_t utime) {
+void Replay::hand_over(const HandOff& hand_off, int64_t utime) {
   if (const auto* command = std::get_if<HumanCommand>(&hand_off.what)) {
     loop_.hear(*command, utime);
   } else if (const auto* chunk = std::get_if<Chunk>(&hand_off.what)) {
     loop_.accept(*chunk);
   } else {
-    ImpedanceGains gains;
     const auto& message = std::get<impedance_gains_t>(hand_off.what);
-    if (!gains_from(message, scenario_.control.gains, gains).empty()) return false;
+    ImpedanceGains gains;
+    const std::string why = gains_from(message, scenario_.control.gains, gains);
+    if (!why.empty()) return differs(result_.episodes, hand_off.tick, "logged gains: " + why);
     loop_.set_gains(gains, utime);
   }
-  return true;
 }
 
 void Replay::compare_tick(const EpisodeEvents& events, int64_t tick) {

@@ -46,7 +46,7 @@ class Replay {
 
  private:
   void episode(const EpisodeEvents& events);
-  bool hand_over(const HandOff& hand_off, int64_t utime);
+  void hand_over(const HandOff& hand_off, int64_t utime);
   void compare_tick(const EpisodeEvents& events, int64_t tick);
   void compare_step(const EpisodeEvents& events, const StepRecord& step);
   void compare_observation(const EpisodeEvents& events, const StepSnapshot& snapshot);
