@@ -13,7 +13,6 @@
 namespace tandem::policy {
 namespace {
 
-constexpr std::array<std::string_view, 7> kAxes = {"x", "y", "z", "rx", "ry", "rz", "gripper"};
 constexpr std::array<std::string_view, 14> kKeys = {"format",
                                                     "architecture",
                                                     "config",
@@ -62,19 +61,6 @@ std::vector<std::string> names(const SafetensorsFile& file, const std::string& k
   return result;
 }
 
-void check_axes(const SafetensorsFile& file, const std::vector<std::string>& axes) {
-  auto from = kAxes.begin();
-  for (const std::string& axis : axes) {
-    from = std::find(from, kAxes.end(), axis);
-    if (from == kAxes.end()) {
-      throw PolicyError(file.path() + ": action axis " + printable(axis) +
-                        " is unknown or out of order; axes are x, y, z, rx, ry, rz, gripper in "
-                        "this order. Correct action_axes of the task.");
-    }
-    ++from;
-  }
-}
-
 void check_keys(const SafetensorsFile& file) {
   for (const auto& [key, value] : file.metadata()) {
     if (std::find(kKeys.begin(), kKeys.end(), key) == kKeys.end()) {
@@ -101,7 +87,6 @@ Header read_header(const SafetensorsFile& file) {
   header.method = file.metadata("method");
   header.observation_names = names(file, "observation");
   header.action_axes = names(file, "action");
-  check_axes(file, header.action_axes);
   header.execution = file.metadata("execution");
   if (!parse_strict_json(header.execution, file.path() + ": metadata \"execution\"").is_object()) {
     throw PolicyError(file.path() + ": metadata \"execution\" is " + printable(header.execution) +

@@ -1,85 +1,73 @@
 #include "policy_runtime/policy.h"
 
+#include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <sstream>
-#include <vector>
+#include <utility>
 
+#include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/file/safetensors.h"
+#include "policy_runtime/file/strict_json.h"
+#include "policy_runtime/golden.h"
 #include "policy_runtime/kernels/kernels.h"
-#include "policy_runtime/policies/mlp.h"
+#include "policy_runtime/noise.h"
+#include "policy_runtime/scratch.h"
 
 namespace tandem::policy {
-namespace {
-
-constexpr std::int64_t kGoldenMinimum = 8;  // fewer examples could agree by chance of symmetry
-
-std::unique_ptr<Policy> build(SafetensorsFile& file, Header header) {
-  if (header.architecture == "mlp") return load_mlp(file, std::move(header));
-  throw PolicyError(file.path() + ": architecture is " + printable(header.architecture) +
-                    "; this runtime knows mlp. Train with a method that writes one of these.");
-}
-
-struct Golden {
-  std::int64_t count;              // N
-  std::vector<float> observation;  // (N, O)
-  std::vector<float> chunk;        // (N, h, A)
-};
-
-Golden take_golden(SafetensorsFile& file, const Header& header) {
-  const std::vector<std::int64_t> shape = file.shape("golden.observation");
-  const std::int64_t count = shape.empty() ? 0 : shape[0];
-  if (count < kGoldenMinimum) {
-    throw PolicyError(file.path() + ": it holds " + std::to_string(count) +
-                      " golden examples; at least " + std::to_string(kGoldenMinimum) +
-                      " are needed. Write the file with the current learner.");
-  }
-  return {count, file.take("golden.observation", {count, header.observation_size()}),
-          file.take("golden.chunk", {count, header.horizon, header.action_size()})};
-}
-
-// Largest |ours - theirs| over all examples; infinite when one cannot be evaluated.
-double largest_error(const Policy& policy, const Golden& golden, Workspace& workspace) {
-  const int observation_size = policy.header().observation_size();
-  const int chunk_size = policy.header().chunk_size();
-  std::vector<float> chunk(chunk_size);
-  double largest = 0.0;
-  for (std::int64_t n = 0; n < golden.count; ++n) {
-    if (!policy.forward(&golden.observation[n * observation_size], chunk.data(), workspace)) {
-      return HUGE_VAL;
-    }
-    for (int i = 0; i < chunk_size; ++i) {
-      const double error = double{chunk[i]} - double{golden.chunk[n * chunk_size + i]};
-      largest = std::fmax(largest, std::fabs(error));
-    }
-  }
-  return largest;
-}
-
-}  // namespace
 
 std::unique_ptr<const Policy> Policy::load(const std::string& path) {
   kernels();  // a bad TANDEM_KERNEL is refused here, before forward() needs one
 
   SafetensorsFile file(path);
-  std::unique_ptr<Policy> policy = build(file, read_header(file));
-  const Golden golden = take_golden(file, policy->header());
+  Header header = read_header(file);
+  const std::string where = path + ": config";
+  ConfigReader config(parse_strict_json(file.metadata("config"), where), where);
+  const int O = header.observation_size();
+  std::unique_ptr<const Head> head =
+      load_head(file, header.architecture, std::move(config), {"actor", O, header.action_size()});
+  header.horizon = head->horizon();
+  auto policy = std::make_unique<Policy>(std::move(header), file.take("normalizer.mean", {O}),
+                                         file.take("normalizer.scale", {O}), std::move(head));
+  const Golden golden(file, *policy);
   file.refuse_unused();
-
-  // the first pass also brings code and weights into the caches; both must agree
-  Workspace workspace = policy->make_workspace();
-  for (int pass = 0; pass < 2; ++pass) {
-    policy->golden_error_ =
-        std::fmax(policy->golden_error_, largest_error(*policy, golden, workspace));
-  }
-  if (policy->golden_error_ > kGoldenTolerance) {
-    std::ostringstream sentence;
-    sentence << path << ": golden examples differ by " << policy->golden_error_ << " (kernel "
-             << kernel_name() << "); the limit is " << kGoldenTolerance
-             << ". Learner and runtime disagree about the network or its normaliser.";
-    throw PolicyError(sentence.str());
-  }
+  policy->golden_error_ = golden.verify(*policy);
   return policy;
+}
+
+Policy::Policy(Header header, std::vector<float> mean, std::vector<float> scale,
+               std::unique_ptr<const Head> head)
+    : header_(std::move(header)),
+      mean_(std::move(mean)),
+      scale_(std::move(scale)),
+      head_(std::move(head)) {}
+
+// observation | noise | chunk | the head's own
+Workspace Policy::make_workspace() const {
+  return Workspace(padded(header_.observation_size()) + padded(noise_size()) +
+                   padded(header_.chunk_size()) + head_->workspace_size(1));
+}
+
+bool Policy::forward(const Input& input, float* chunk, Workspace& workspace) const noexcept {
+  Scratch scratch(workspace.data());
+  const int O = header_.observation_size(), chunk_size = header_.chunk_size();
+  float* x = scratch.take(O);  // its padding stays zero: nothing else ever writes there
+  float* noise = scratch.take(noise_size());
+  float* result = scratch.take(chunk_size);
+
+  const auto is_finite = [](float value) { return std::isfinite(value); };
+  for (int i = 0; i < O; ++i) x[i] = (input.observation[i] - mean_[i]) * scale_[i];
+  bool usable = std::all_of(x, x + O, is_finite) && (cameras().empty() || input.images);
+  if (usable) {
+    if (!input.noise) standard_normal(input.seed, noise, noise_size());
+    const HeadInput head_input{x, input.images, input.noise ? input.noise : noise};
+    head_->forward(head_input, 1, result, scratch.take(0));
+    usable = std::all_of(result, result + chunk_size, is_finite);
+  }
+  if (usable) {
+    std::copy_n(result, chunk_size, chunk);
+  } else {
+    std::fill_n(chunk, chunk_size, 0.0f);
+  }
+  return usable;
 }
 
 }  // namespace tandem::policy

@@ -2,22 +2,31 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "policy_runtime/aligned_buffer.h"
 #include "policy_runtime/header.h"
+#include "policy_runtime/policies/head.h"
 #include "policy_runtime/policy_error.h"
 
 namespace tandem::policy {
 
-/// A trained policy: raw observation (O) -> action chunk (h, A) in [-1, 1]. Immutable once loaded.
-///
-/// One file in policies/ a kind of network; each owns its Config, Weights and the layout of its
-/// workspace.
+/// What a policy computes a chunk from.
+struct Input {
+  const float* observation = nullptr;  ///< (O) in SI units as the names say, not normalised
+  const std::uint8_t* const* images =
+      nullptr;                   ///< per camera of cameras(): (height, width, 3) RGB; else null
+  const float* noise = nullptr;  ///< (noise_size) standard normal numbers; null: made from the seed
+  std::uint64_t seed = 0;        ///< of the noise when there is none
+};
+
+/// A trained policy: raw observation (O), images, noise -> action chunk (h, A). Immutable once
+/// loaded; any number of threads may evaluate it, each with a workspace of its own.
 ///
 ///   const auto policy = Policy::load("policy.safetensors");
 ///   Workspace workspace = policy->make_workspace();
 ///   std::vector<float> chunk(policy->header().chunk_size());
-///   const bool usable = policy->forward(observation.data(), chunk.data(), workspace);
+///   const bool usable = policy->forward({.observation = observation}, chunk.data(), workspace);
 class Policy {
  public:
   /// Golden examples may differ by this much, in action units. Float rounding stays near 1e-6.
@@ -29,32 +38,35 @@ class Policy {
   /// @throws PolicyError naming the file, what was found, the limit and the remedy.
   static std::unique_ptr<const Policy> load(const std::string& path);
 
-  virtual ~Policy() = default;
-  Policy(const Policy&) = delete;
-  Policy& operator=(const Policy&) = delete;
+  /// A policy of a head made elsewhere, without golden examples.
+  /// @param mean, scale (O): the head sees (observation - mean) * scale
+  Policy(Header header, std::vector<float> mean, std::vector<float> scale,
+         std::unique_ptr<const Head> head);
 
   const Header& header() const noexcept { return header_; }
+  const std::vector<Camera>& cameras() const noexcept { return head_->cameras(); }
+
+  /// Standard normal numbers that forward() takes; 0: the policy is deterministic.
+  int noise_size() const noexcept { return head_->noise_size(); }
 
   /// Largest absolute difference between our golden chunks and the learner's, in action units.
   double golden_error() const noexcept { return golden_error_; }
 
   /// Scratch for forward(), sized for this policy.
-  Workspace make_workspace() const { return Workspace(workspace_size()); }
+  Workspace make_workspace() const;
 
-  /// observation (O) in SI units as the names say, not normalised -> chunk (h, A), row-major.
+  /// Input -> chunk (h, A), row-major.
   ///
-  /// Real-time: no allocation, no lock, no exception, bounded time. The same observation gives the
-  /// same bits under the same kernel. False when the observation (or what became of it) is not
-  /// finite: the chunk is then all zeros.
-  [[nodiscard]] virtual bool forward(const float* observation, float* chunk,
-                                     Workspace& workspace) const noexcept = 0;
-
- protected:
-  explicit Policy(Header header) : header_(std::move(header)) {}
-  virtual std::size_t workspace_size() const noexcept = 0;  ///< floats
+  /// Real-time: no allocation, no lock, no exception, bounded time. The same input gives the same
+  /// bits under the same kernel. False when the observation (or what became of it) is not finite,
+  /// or images are missing: the chunk is then all zeros.
+  [[nodiscard]] bool forward(const Input& input, float* chunk, Workspace& workspace) const noexcept;
 
  private:
   Header header_;
+  std::vector<float> mean_;   // (O)
+  std::vector<float> scale_;  // (O), one over the standard deviation
+  std::unique_ptr<const Head> head_;
   double golden_error_ = 0.0;
 };
 

@@ -208,7 +208,7 @@ void PolicyLoader::load(const policy_announce_t& announcement) {
     const int64_t inference_start_us = monotonic_us();
     constexpr int kRuns = 16;
     for (int i = 0; i < kRuns; ++i)
-      (void)policy->forward(observation.data(), chunk.data(), workspace);
+      (void)policy->forward({.observation = observation.data()}, chunk.data(), workspace);
     ack.wall_inference_us = static_cast<int32_t>((monotonic_us() - inference_start_us) / kRuns);
   } catch (const std::exception& error) {
     ack.reason = error.what();

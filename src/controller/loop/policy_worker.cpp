@@ -48,7 +48,7 @@ void PolicyWorker::infer(const StepSnapshot& snapshot, PolicyAnswer& answer) noe
   policy::PolicySlot::Active* active = slot_.acquire();
   if (!active) return;
   const int64_t start_ns = monotonic_ns();
-  if (!active->forward(answer.observation.values.data(), output_.data())) return;
+  if (!active->forward({.observation = answer.observation.values.data()}, output_.data())) return;
 
   // Scatter the active axes into the seven of the wire.
   const policy::Header& header = active->policy->header();

@@ -95,18 +95,24 @@ void SafetensorsFile::parse_header(std::string_view header) {
         !entry.contains("data_offsets")) {
       refuse(label + " must have exactly dtype, shape and data_offsets." + kAgain);
     }
+    Tensor tensor;
     const auto& dtype = entry["dtype"];
-    if (dtype != "F32") {
+    std::uint64_t size = 0;  // bytes
+    if (dtype == "F32") {
+      tensor.dtype = Dtype::kF32, size = 4;
+    } else if (dtype == "BF16") {
+      tensor.dtype = Dtype::kBF16, size = 2;
+    } else if (dtype == "U8") {
+      tensor.dtype = Dtype::kU8, size = 1;
+    } else {
       refuse(label + " has dtype " + printable(dtype.dump()) +
-             "; only F32 is supported. Save float32 parameters.");
+             "; only F32, BF16 and U8 are supported. Save float32 parameters.");
     }
 
-    Tensor tensor;
     const auto& shape = entry["shape"];
     if (!shape.is_array() || shape.size() > kMaxRank) {
       refuse(label + " needs a shape of at most " + text(kMaxRank) + " dimensions." + kAgain);
     }
-    std::uint64_t size = sizeof(float);
     for (const auto& dimension : shape) {
       if (!dimension.is_number_unsigned() || dimension == 0 ||
           __builtin_mul_overflow(size, dimension.get<std::uint64_t>(), &size) ||
@@ -191,10 +197,27 @@ std::vector<float> SafetensorsFile::take(const std::string& name,
                                          const std::vector<std::int64_t>& shape) {
   check_shape(name, shape);
   const Tensor& tensor = find(name);
+  const char* bytes = bytes_.data() + data_begin_ + tensor.begin;
+  const std::size_t n_bytes = tensor.end - tensor.begin;
   taken_.insert(name);
 
-  std::vector<float> values((tensor.end - tensor.begin) / sizeof(float));
-  std::memcpy(values.data(), bytes_.data() + data_begin_ + tensor.begin, tensor.end - tensor.begin);
+  std::vector<float> values;
+  switch (tensor.dtype) {
+    case Dtype::kF32:
+      values.resize(n_bytes / sizeof(float));
+      std::memcpy(values.data(), bytes, n_bytes);
+      break;
+    case Dtype::kBF16:
+      values.resize(n_bytes / sizeof(std::uint16_t));
+      for (std::size_t i = 0; i < values.size(); ++i) {
+        std::uint16_t upper = 0;
+        std::memcpy(&upper, bytes + i * sizeof(upper), sizeof(upper));
+        values[i] = std::bit_cast<float>(std::uint32_t{upper} << 16);
+      }
+      break;
+    case Dtype::kU8:
+      refuse("tensor " + printable(name) + " has dtype U8; numbers are needed here." + kAgain);
+  }
   for (std::size_t i = 0; i < values.size(); ++i) {
     if (!std::isfinite(values[i])) {
       refuse("tensor " + printable(name) + " is not finite at element " + text(i) +
@@ -202,6 +225,18 @@ std::vector<float> SafetensorsFile::take(const std::string& name,
     }
   }
   return values;
+}
+
+std::vector<std::uint8_t> SafetensorsFile::take_bytes(const std::string& name,
+                                                      const std::vector<std::int64_t>& shape) {
+  check_shape(name, shape);
+  const Tensor& tensor = find(name);
+  if (tensor.dtype != Dtype::kU8) {
+    refuse("tensor " + printable(name) + " must have dtype U8: it holds images." + kAgain);
+  }
+  taken_.insert(name);
+  const char* bytes = bytes_.data() + data_begin_;
+  return {bytes + tensor.begin, bytes + tensor.end};
 }
 
 void SafetensorsFile::refuse_unused() const {

@@ -14,9 +14,9 @@ namespace tandem::policy {
 /// bytes.
 ///
 /// The constructor checks the whole structure before it believes any size in it: header length
-/// against the file, no duplicate key, dtype F32, sizes without overflow, offsets that cover the
-/// data exactly once, in order, without hole. Tensors are then taken by name and shape; what nobody
-/// took is refused at the end. Not thread-safe.
+/// against the file, no duplicate key, dtype F32, BF16 or U8, sizes without overflow, offsets that
+/// cover the data exactly once, in order, without hole. Tensors are then taken by name and shape;
+/// what nobody took is refused at the end. Not thread-safe.
 class SafetensorsFile {
  public:
   static constexpr std::uint64_t kMaxFileBytes = std::uint64_t{1} << 30;
@@ -37,15 +37,25 @@ class SafetensorsFile {
   /// @throws PolicyError when the tensor is missing or has another shape.
   void check_shape(const std::string& name, const std::vector<std::int64_t>& shape) const;
 
-  /// The values of a tensor, row-major. @throws PolicyError when it is missing, of another shape or
-  /// not finite.
+  /// Whether a tensor's numbers are stored as bfloat16. @throws PolicyError when there is none.
+  bool is_bfloat16(const std::string& name) const { return find(name).dtype == Dtype::kBF16; }
+
+  /// The values of a tensor (F32, or BF16 widened), row-major. @throws PolicyError when it is
+  /// missing, of another shape or dtype, or not finite.
   std::vector<float> take(const std::string& name, const std::vector<std::int64_t>& shape);
+
+  /// The bytes of a U8 tensor, row-major. @throws PolicyError when it is missing, of another shape
+  /// or dtype.
+  std::vector<std::uint8_t> take_bytes(const std::string& name,
+                                       const std::vector<std::int64_t>& shape);
 
   /// @throws PolicyError naming the first tensor that nobody took.
   void refuse_unused() const;
 
  private:
+  enum class Dtype { kF32, kBF16, kU8 };
   struct Tensor {
+    Dtype dtype;
     std::vector<std::int64_t> shape;
     std::uint64_t begin, end;  // bytes, from the end of the header
   };

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <atomic>
+#include <bit>
 #include <cctype>
 #include <cstdlib>
 
@@ -67,14 +68,23 @@ bool activation_from_name(std::string_view name, Activation& activation) {
 }
 
 void pack(const float* row_major, PackedMatrix& matrix, float* packed) {
+  const bool half = matrix.precision == Precision::kBfloat16;
+  auto* packed_bf16 = reinterpret_cast<std::uint16_t*>(packed);
   for (int row = 0; row < matrix.rows; ++row) {
-    float* panel = packed + std::size_t(row / kPadding) * matrix.padded_columns() * kPadding;
+    const std::size_t panel =
+        std::size_t(row / kPadding) * matrix.padded_columns() * kPadding + row % kPadding;
     for (int column = 0; column < matrix.columns; ++column) {
-      panel[std::size_t(column) * kPadding + row % kPadding] =
-          row_major[std::size_t(row) * matrix.columns + column];
+      const float value = row_major[std::size_t(row) * matrix.columns + column];
+      const std::size_t index = panel + std::size_t(column) * kPadding;
+      if (half) {
+        packed_bf16[index] = static_cast<std::uint16_t>(std::bit_cast<std::uint32_t>(value) >> 16);
+      } else {
+        packed[index] = value;
+      }
     }
   }
-  matrix.data = packed;
+  matrix.data = half ? nullptr : packed;
+  matrix.data_bf16 = half ? packed_bf16 : nullptr;
 }
 
 }  // namespace tandem::policy

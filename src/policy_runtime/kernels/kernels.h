@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -16,24 +18,59 @@ enum class Activation { kIdentity, kRelu, kTanh, kGelu };
 /// "identity", "relu", "tanh" or "gelu"; false for any other name.
 bool activation_from_name(std::string_view name, Activation& activation);
 
-/// A matrix (rows, columns) laid out for gemv: panels of kPadding rows; inside a panel, column
-/// after column, the kPadding values of a column side by side. Rows are padded to kPadding and
-/// columns to kPhases with zeros.
+/// How weights lie in memory. Arithmetic is float32 in either case.
+enum class Precision { kFloat32, kBfloat16 };
+
+/// A matrix (rows, columns) laid out for gemv and gemm: panels of kPadding rows; inside a panel,
+/// column after column, the kPadding values of a column side by side. Rows are padded to kPadding
+/// and columns to kPhases with zeros.
 struct PackedMatrix {
   static constexpr int kPhases =
-      4;  ///< columns that are summed apart, to hide the latency of the addition
+      4;  ///< columns that gemv sums apart, to hide the latency of the addition
 
-  const float* data = nullptr;  ///< (panels, padded columns, kPadding), 64-byte aligned
   int rows = 0;
   int columns = 0;
+  Precision precision = Precision::kFloat32;
+  const float* data = nullptr;  ///< (panels, padded columns, kPadding), 64-byte aligned; kFloat32
+  const std::uint16_t* data_bf16 = nullptr;  ///< the same as the upper halves of floats; kBfloat16
 
   int padded_columns() const { return (columns + kPhases - 1) / kPhases * kPhases; }
-  std::size_t size() const { return padded(rows) * padded_columns(); }  ///< floats behind data
+  std::size_t count() const { return padded(rows) * padded_columns(); }  ///< numbers behind data
+  std::size_t floats() const {  ///< memory behind data, in floats
+    return padded(precision == Precision::kFloat32 ? count() : count() / 2);
+  }
 };
 
-/// Writes matrix.size() floats to `packed` (zero before) and points the matrix to them. row_major
-/// is (rows, columns).
+/// Writes matrix.floats() floats to `packed` (zero before) and points the matrix to them. row_major
+/// is (rows, columns); for kBfloat16 the lower halves of its numbers are cut off.
 void pack(const float* row_major, PackedMatrix& matrix, float* packed);
+
+/// Multi-head attention: n_queries tokens look at n_keys tokens. Head i works on the columns
+/// [i head_size, (i + 1) head_size) of every matrix.
+struct AttentionShape {
+  int n_queries = 0;
+  int n_keys = 0;
+  int heads = 1;
+  int head_size = 0;
+
+  /// Floats of scratch that attention needs.
+  std::size_t scratch() const {
+    return padded(n_keys) * (std::size_t(head_size) + std::size_t(n_queries));
+  }
+};
+
+/// Rows of equal length in memory: row i begins at data + i stride.
+struct Rows {
+  float* data;
+  std::size_t stride;  ///< floats
+};
+struct ConstRows {
+  const float* data;
+  std::size_t stride;  ///< floats; 0: every row is the same one
+
+  ConstRows(const float* data, std::size_t stride) : data(data), stride(stride) {}
+  ConstRows(Rows rows) : data(rows.data), stride(rows.stride) {}  // NOLINT: meant to convert
+};
 
 /// One instruction set. None of these allocates, locks or throws.
 struct Kernels {
@@ -44,11 +81,20 @@ struct Kernels {
   /// do not overlap.
   void (*gemv)(const PackedMatrix& W, const float* b, const float* x, float* y);
 
-  /// y = (y - mean) / sqrt(variance + 1e-6) * scale + offset over the first n, biased variance.
-  void (*layer_norm)(const float* scale, const float* offset, float* y, int n);
+  /// Y = X W' + bias for n rows: X (n, W.columns), bias and Y (n, W.rows), every row padded. Every
+  /// sum runs over the columns in order, from the bias on, as in gemv independent of the width.
+  void (*gemm)(const PackedMatrix& W, ConstRows bias, ConstRows X, int n, Rows Y);
+
+  /// y = (y - mean) / sqrt(variance + epsilon) * scale + offset over the first n, biased variance.
+  void (*layer_norm)(const float* scale, const float* offset, float epsilon, float* y, int n);
 
   /// y = f(y) over the first n. gelu is the tanh approximation.
   void (*activate)(Activation f, float* y, int n);
+
+  /// out (n_queries, ·) = softmax(Q K') V, head by head. Q carries the factor 1 / sqrt(head_size)
+  /// already. Only the columns of the heads are written. Rows need no alignment here.
+  void (*attention)(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
+                    float* scratch);
 };
 
 /// The set in use: TANDEM_KERNEL if it is set, else the best of this machine. Cheap, lock-free

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <bit>
 #include <cmath>
 
 #include "policy_runtime/kernels/kernels.h"
@@ -8,7 +9,10 @@ namespace {
 
 float element(const PackedMatrix& W, int row, int column) {
   const int panel = row / kPadding;
-  return W.data[(std::size_t(panel) * W.padded_columns() + column) * kPadding + row % kPadding];
+  const std::size_t index =
+      (std::size_t(panel) * W.padded_columns() + column) * kPadding + row % kPadding;
+  if (W.precision == Precision::kFloat32) return W.data[index];
+  return std::bit_cast<float>(std::uint32_t{W.data_bf16[index]} << 16);
 }
 
 void gemv(const PackedMatrix& W, const float* b, const float* x, float* y) {
@@ -20,14 +24,20 @@ void gemv(const PackedMatrix& W, const float* b, const float* x, float* y) {
   std::fill(y + W.rows, y + padded(W.rows), 0.0f);
 }
 
-void layer_norm(const float* scale, const float* offset, float* y, int n) {
+void gemm(const PackedMatrix& W, ConstRows bias, ConstRows X, int n, Rows Y) {
+  for (int i = 0; i < n; ++i) {
+    gemv(W, bias.data + i * bias.stride, X.data + i * X.stride, Y.data + i * Y.stride);
+  }
+}
+
+void layer_norm(const float* scale, const float* offset, float epsilon, float* y, int n) {
   double mean = 0.0;
   for (int i = 0; i < n; ++i) mean += y[i];
   mean /= n;
   double variance = 0.0;
   for (int i = 0; i < n; ++i) variance += (y[i] - mean) * (y[i] - mean);
   variance /= n;
-  const double inverse = 1.0 / std::sqrt(variance + 1e-6);
+  const double inverse = 1.0 / std::sqrt(variance + epsilon);
   for (int i = 0; i < n; ++i) y[i] = float((y[i] - mean) * inverse) * scale[i] + offset[i];
 }
 
@@ -50,10 +60,35 @@ void activate(Activation f, float* y, int n) {
   for (int i = 0; i < n; ++i) y[i] = apply(f, y[i]);
 }
 
+void attention(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
+               float* scratch) {
+  for (int head = 0; head < shape.heads; ++head) {
+    const int begin = head * shape.head_size, end = begin + shape.head_size;
+    for (int i = 0; i < shape.n_queries; ++i) {
+      float* scores = scratch;  // (n_keys)
+      float largest = -INFINITY;
+      for (int j = 0; j < shape.n_keys; ++j) {
+        scores[j] = 0.0f;
+        for (int c = begin; c < end; ++c) {
+          scores[j] += Q.data[i * Q.stride + c] * K.data[j * K.stride + c];
+        }
+        largest = std::max(largest, scores[j]);
+      }
+      float total = 0.0f;
+      for (int j = 0; j < shape.n_keys; ++j) total += scores[j] = std::exp(scores[j] - largest);
+      for (int c = begin; c < end; ++c) {
+        float sum = 0.0f;
+        for (int j = 0; j < shape.n_keys; ++j) sum += scores[j] * V.data[j * V.stride + c];
+        out.data[i * out.stride + c] = sum / total;
+      }
+    }
+  }
+}
+
 }  // namespace
 
 const Kernels& scalar_kernels() {
-  static constexpr Kernels kTable = {"scalar", gemv, layer_norm, activate};
+  static constexpr Kernels kTable = {"scalar", gemv, gemm, layer_norm, activate, attention};
   return kTable;
 }
 

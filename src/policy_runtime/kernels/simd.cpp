@@ -86,7 +86,7 @@ HWY_INLINE float Sum(const float* y, int n, F f) {
   return total;
 }
 
-void LayerNorm(const float* scale, const float* offset, float* y, int n) {
+void LayerNorm(const float* scale, const float* offset, float epsilon, float* y, int n) {
   const V mean = hn::Set(d, Sum(y, n, [](V v) { return v; }) / float(n));
   const float variance = Sum(y, n,
                              [&](V v) {
@@ -94,7 +94,7 @@ void LayerNorm(const float* scale, const float* offset, float* y, int n) {
                                return hn::Mul(centred, centred);
                              }) /
                          float(n);
-  const V inverse = hn::Set(d, 1.0f / std::sqrt(variance + 1e-6f));
+  const V inverse = hn::Set(d, 1.0f / std::sqrt(variance + epsilon));
   for (int i = 0; i < n; i += kLanes) {
     // scale and offset are zero in the padding, so the result is too
     const V centred = hn::Mul(hn::Sub(hn::Load(d, y + i), mean), inverse);
@@ -129,7 +129,12 @@ void Activate(Activation f, float* y, int n) {
 
 Kernels Table() {
   const std::string_view name = hwy::TargetName(HWY_TARGET);
-  return {name == "AVX3" ? "AVX-512" : name.data(), Gemv, LayerNorm, Activate};
+  return {name == "AVX3" ? "AVX-512" : name.data(),
+          Gemv,
+          scalar_kernels().gemm,
+          LayerNorm,
+          Activate,
+          scalar_kernels().attention};
 }
 
 }  // namespace HWY_NAMESPACE

@@ -1,38 +1,49 @@
 #pragma once
 
-#include <cstddef>
+#include <optional>
 #include <string>
 
-#include "policy_runtime/kernels/kernels.h"
+#include "policy_runtime/layers/weights.h"
 
 namespace tandem::policy {
 
-class SafetensorsFile;
+/// y = (x - mean) / sqrt(variance + epsilon) * scale + offset.
+struct LayerNorm {
+  AlignedBuffer scale;   ///< (n)
+  AlignedBuffer offset;  ///< (n)
+  float epsilon;
+  int n;
 
-/// y = act(norm(W x + b)), the norm optional. Weights live in an arena that the policy owns.
-struct Dense {
-  int in = 0;
-  int out = 0;
-  bool norm = false;
-  Activation activation = Activation::kIdentity;
+  /// y (n) in place. Real-time.
+  void forward(const Kernels& kernels, float* y) const noexcept {
+    kernels.layer_norm(scale.data(), offset.data(), epsilon, y, n);
+  }
+};
 
-  PackedMatrix W;                      ///< (out, in)
-  const float* b = nullptr;            ///< (out)
-  const float* norm_scale = nullptr;   ///< (out), or null without norm
-  const float* norm_offset = nullptr;  ///< (out), or null without norm
+/// y = act(norm(W x + b)), the norm optional.
+class Dense {
+ public:
+  static constexpr float kNormEpsilon = 1e-6f;
 
-  Dense(int in, int out, bool norm, Activation activation);
-
-  /// Floats this layer needs in the arena, a multiple of kPadding.
-  std::size_t size() const;
-
-  /// Takes PREFIX.weight, .bias and, with norm, .norm_scale and .norm_offset from the file and
-  /// packs them to `arena` (size() floats, zero before). Returns the arena's next free float.
+  /// Takes PREFIX.weight (out, in), .bias (out) and, with norm, .norm_scale and .norm_offset (out).
   /// @throws PolicyError
-  float* load(SafetensorsFile& file, const std::string& prefix, float* arena);
+  Dense(SafetensorsFile& file, const std::string& prefix, int in, int out, bool norm,
+        Activation activation);
+
+  int in() const noexcept { return W_.columns(); }
+  int out() const noexcept { return W_.rows(); }
 
   /// x padded(in), y padded(out), not overlapping. Real-time.
   void forward(const Kernels& kernels, const float* x, float* y) const noexcept;
+
+  /// n rows at once: X (n, in) -> Y (n, out). Real-time.
+  void forward(const Kernels& kernels, ConstRows X, int n, Rows Y) const noexcept;
+
+ private:
+  WeightMatrix W_;
+  AlignedBuffer b_;
+  std::optional<LayerNorm> norm_;
+  Activation activation_;
 };
 
 }  // namespace tandem::policy

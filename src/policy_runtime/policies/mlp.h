@@ -1,55 +1,31 @@
 #pragma once
 
-#include <memory>
-#include <vector>
-
-#include "policy_runtime/layers/dense.h"
-#include "policy_runtime/policy.h"
+#include "policy_runtime/layers/perceptron.h"
+#include "policy_runtime/policies/head.h"
 
 namespace tandem::policy {
 
-/// Multi-layer perceptron with a bounded output:
+/// Multi-layer perceptron with a bounded output: chunk = tanh(perceptron(x)).
 ///
-///   x = (observation - mean) * scale
-///   x = act(LN(W_i x + b_i))          for each hidden layer
-///   chunk = tanh(W x + b)
-///
-/// LN only when the config says so; the chunk (h A) is row-major (h, A).
-class Mlp final : public Policy {
+/// Config: hidden, activation, layer_norm, horizon, output ("tanh").
+class MlpHead final : public Head {
  public:
-  /// The network as the file's config describes it, checked against the limits in mlp.cpp.
-  struct Config {
-    std::vector<int> hidden;  ///< width of each hidden layer; empty = a linear policy
-    Activation activation = Activation::kRelu;
-    bool layer_norm = false;
-    int horizon = 1;  ///< h
-  };
+  MlpHead(SafetensorsFile& file, ConfigReader config, const HeadSpec& spec);
 
-  /// Everything learnt; immutable after load.
-  struct Weights {
-    std::vector<float> mean;    ///< (O)
-    std::vector<float> scale;   ///< (O), one over the standard deviation
-    std::vector<Dense> layers;  ///< hidden layers, then the output layer (h A)
-    AlignedBuffer arena;        ///< what the layers point into
-  };
-
-  Mlp(Header header, Config config, Weights weights);
-
-  const Config& config() const { return config_; }
-  bool forward(const float* observation, float* chunk,
-               Workspace& workspace) const noexcept override;
+  std::size_t workspace_size(int samples) const noexcept override;
+  void forward(const HeadInput& input, int samples, float* chunks,
+               float* workspace) const noexcept override;
 
  private:
-  std::size_t workspace_size() const noexcept override;
+  struct Config {
+    Perceptron::Config perceptron;
+    int horizon = 1;
 
-  Config config_;
-  Weights weights_;
-  std::size_t input_size_;  // floats: the padded observation
-  std::size_t layer_size_;  // floats: the widest padded layer
+    static Config read(ConfigReader& reader);
+  };
+  MlpHead(SafetensorsFile& file, const Config& config, const HeadSpec& spec);
+
+  Perceptron perceptron_;
 };
-
-/// Takes the tensors actor.layers.{i}.* and normalizer.* and fills in header.horizon.
-/// @throws PolicyError
-std::unique_ptr<Policy> load_mlp(SafetensorsFile& file, Header header);
 
 }  // namespace tandem::policy

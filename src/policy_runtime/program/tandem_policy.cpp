@@ -32,7 +32,8 @@ Latency measure(const Policy& policy, int runs) {
   for (int run = 0; run < runs; ++run) {
     std::generate(observation.begin(), observation.end(), [&] { return normal(random); });
     const auto begin = std::chrono::steady_clock::now();
-    const bool usable = policy.forward(observation.data(), chunk.data(), workspace);
+    const bool usable =
+        policy.forward({.observation = observation.data()}, chunk.data(), workspace);
     const std::chrono::duration<double, std::micro> took = std::chrono::steady_clock::now() - begin;
     if (!usable) throw PolicyError("a normally distributed observation gave no finite chunk.");
     microseconds.push_back(took.count());
@@ -91,7 +92,7 @@ void run(const std::string& path, const std::string& input, const std::string& o
                         " numbers; this policy takes " + std::to_string(header.observation_size()) +
                         ". Compare with tandem_policy info.");
     }
-    if (!policy->forward(observation.data(), chunk.data(), workspace)) {
+    if (!policy->forward({.observation = observation.data()}, chunk.data(), workspace)) {
       throw PolicyError(input + ": an observation is not finite. Correct it.");
     }
     Json steps = Json::array();

@@ -25,8 +25,8 @@ class PolicySlot {
     std::uint64_t sequence;  ///< counts publications of this slot, from 1
 
     /// Policy::forward() with our workspace. Reader's thread only.
-    [[nodiscard]] bool forward(const float* observation, float* chunk) noexcept {
-      return policy->forward(observation, chunk, workspace);
+    [[nodiscard]] bool forward(const Input& input, float* chunk) noexcept {
+      return policy->forward(input, chunk, workspace);
     }
   };
 

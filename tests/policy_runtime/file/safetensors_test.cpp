@@ -84,9 +84,23 @@ TEST(Safetensors, RefusesOffsetsThatOverflowOrContradictTheShape) {
 }
 
 TEST(Safetensors, RefusesOtherDtypes) {
-  for (const std::string dtype : {"\"F64\"", "\"BF16\"", "\"f32\"", "3", "null"}) {
-    EXPECT_TRUE(says(refused("{" + entry("a", "[2]", "[0,8]", dtype) + "}", 8), "only F32"));
+  for (const std::string dtype : {"\"F64\"", "\"I8\"", "\"f32\"", "3", "null"}) {
+    EXPECT_TRUE(
+        says(refused("{" + entry("a", "[2]", "[0,8]", dtype) + "}", 8), "only F32, BF16 and U8"));
   }
+}
+
+TEST(Safetensors, WidensBfloat16AndKeepsBytes) {
+  const std::string header = "{" + entry("half", "[2]", "[0,4]", "\"BF16\"") + "," +
+                             entry("image", "[3]", "[4,7]", "\"U8\"") + "}";
+  const std::string data("\x80\x3f\x20\xc0\x00\x7f\xff", 7);  // 1.0, -2.5; 0, 127, 255
+  SafetensorsFile file(write_file(safetensors(header, data)));
+  EXPECT_TRUE(file.is_bfloat16("half"));
+  EXPECT_EQ(file.take("half", {2}), (std::vector<float>{1.0f, -2.5f}));
+  EXPECT_EQ(file.take_bytes("image", {3}), (std::vector<std::uint8_t>{0, 127, 255}));
+  file.refuse_unused();
+  EXPECT_THROW(file.take("image", {3}), PolicyError) << "bytes are not numbers";
+  EXPECT_THROW(file.take_bytes("half", {2}), PolicyError) << "numbers are not bytes";
 }
 
 TEST(Safetensors, RefusesDuplicateKeysAtEveryLevel) {

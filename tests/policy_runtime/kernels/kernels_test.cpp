@@ -30,9 +30,9 @@ struct Problem {
   AlignedBuffer packed, b, x, y;
 
   Problem(int rows, int columns, std::mt19937& random)
-      : W{nullptr, rows, columns},
+      : W{rows, columns},
         row_major(std::size_t(rows) * columns),
-        packed(W.size()),
+        packed(W.floats()),
         b(random_vector(rows, random)),
         x(random_vector(columns, random)),
         y(rows) {
@@ -91,8 +91,8 @@ TEST(LayerNorm, AgreesWithScalarAtEverySize) {
       const AlignedBuffer scale = random_vector(n, random), offset = random_vector(n, random);
       AlignedBuffer y = random_vector(n, random, 3.0f), expected(n);
       std::memcpy(expected.data(), y.data(), n * sizeof(float));
-      kernels.layer_norm(scale.data(), offset.data(), y.data(), n);
-      scalar_kernels().layer_norm(scale.data(), offset.data(), expected.data(), n);
+      kernels.layer_norm(scale.data(), offset.data(), 1e-6f, y.data(), n);
+      scalar_kernels().layer_norm(scale.data(), offset.data(), 1e-6f, expected.data(), n);
       for (int i = 0; i < n; ++i)
         ASSERT_NEAR(y.data()[i], expected.data()[i], 5e-6) << kernels.name << " " << n;
       expect_padding_zero(y, n);
@@ -105,7 +105,7 @@ TEST(LayerNorm, HasZeroMeanAndUnitBiasedVariance) {
   const int n = 50;
   AlignedBuffer scale(n), offset(n), y = random_vector(n, random, 5.0f);
   std::fill_n(scale.data(), n, 1.0f);
-  kernels().layer_norm(scale.data(), offset.data(), y.data(), n);
+  kernels().layer_norm(scale.data(), offset.data(), 1e-6f, y.data(), n);
   double mean = 0, square = 0;
   for (int i = 0; i < n; ++i) {
     mean += y.data()[i] / n;

@@ -1,11 +1,10 @@
-#include "policy_runtime/policies/mlp.h"
-
 #include <gtest/gtest.h>
 
 #include <limits>
 #include <new>
 #include <random>
 
+#include "policy_runtime/policy.h"
 #include "policy_runtime/policy_file.h"
 #include "support/allocation_counter.h"
 
@@ -47,7 +46,7 @@ TEST(Mlp, AgreesWithTheFormulaInDoublePrecision) {
     std::vector<float> chunk(policy->header().chunk_size());
     for (int n = 0; n < 50; ++n) {
       const auto observation = random_observation(spec.observation_size, random);
-      ASSERT_TRUE(policy->forward(observation.data(), chunk.data(), workspace));
+      ASSERT_TRUE(policy->forward({.observation = observation.data()}, chunk.data(), workspace));
       const auto expected = evaluate(file, spec, observation.data());
       for (std::size_t i = 0; i < chunk.size(); ++i) ASSERT_NEAR(chunk[i], expected[i], 1e-5);
     }
@@ -63,10 +62,10 @@ TEST(Mlp, NeitherAllocatesNorRemembersInForward) {
   std::vector<float> before(6), after(6);
 
   const tandem::testing::AllocationCounter allocations;
-  bool usable = policy->forward(first.data(), before.data(), workspace);
+  bool usable = policy->forward({.observation = first.data()}, before.data(), workspace);
   for (int n = 0; n < 10000; ++n)
-    usable = policy->forward(other.data(), after.data(), workspace) && usable;
-  usable = policy->forward(first.data(), after.data(), workspace) && usable;
+    usable = policy->forward({.observation = other.data()}, after.data(), workspace) && usable;
+  usable = policy->forward({.observation = first.data()}, after.data(), workspace) && usable;
   EXPECT_EQ(allocations.count(), 0);
 
   EXPECT_TRUE(usable);
@@ -86,17 +85,17 @@ TEST(Mlp, AnswersAnUnusableObservationWithZerosAndFalse) {
   std::mt19937 random(3);
   const auto good = random_observation(7, random);
   std::vector<float> expected(6), chunk(6);
-  ASSERT_TRUE(policy->forward(good.data(), expected.data(), workspace));
+  ASSERT_TRUE(policy->forward({.observation = good.data()}, expected.data(), workspace));
   for (const float bad :
        {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
     for (int i = 0; i < 7; ++i) {
       auto observation = good;
       observation[i] = bad;
-      EXPECT_FALSE(policy->forward(observation.data(), chunk.data(), workspace));
+      EXPECT_FALSE(policy->forward({.observation = observation.data()}, chunk.data(), workspace));
       EXPECT_EQ(chunk, std::vector<float>(6, 0.0f));
     }
   }
-  ASSERT_TRUE(policy->forward(good.data(), chunk.data(), workspace));
+  ASSERT_TRUE(policy->forward({.observation = good.data()}, chunk.data(), workspace));
   EXPECT_EQ(chunk, expected) << "a bad observation must leave no trace";
 }
 

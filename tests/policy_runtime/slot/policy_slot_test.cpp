@@ -12,35 +12,37 @@ namespace {
 
 // Answers with its version; notices when it is used after its death or destroyed on a thread that
 // must not.
-class Marked final : public Policy {
+class Marked final : public Head {
  public:
   inline static std::atomic<int> alive{0};
   inline static std::thread::id loader;
   inline static std::atomic<int> destroyed_elsewhere{0};
 
-  explicit Marked(int version) : Policy(make_header(version)), value_(float(version)) { ++alive; }
+  explicit Marked(int version) : Head(1, 1), value_(float(version)) { ++alive; }
   ~Marked() override {
     value_ = -1.0f;
     --alive;
     if (std::this_thread::get_id() != loader) ++destroyed_elsewhere;
   }
 
-  bool forward(const float*, float* chunk, Workspace& workspace) const noexcept override {
-    workspace.data()[0] = value_;
-    chunk[0] = workspace.data()[0];
-    return true;
+  std::size_t workspace_size(int) const noexcept override { return 16; }
+  void forward(const HeadInput&, int, float* chunks, float* workspace) const noexcept override {
+    workspace[0] = value_;
+    chunks[0] = workspace[0];
   }
 
  private:
-  static Header make_header(int version) {
-    Header header;
-    header.version = version;
-    return header;
-  }
-  std::size_t workspace_size() const noexcept override { return 16; }
-
   float value_;
 };
+
+std::unique_ptr<const Policy> marked(int version) {
+  Header header;
+  header.version = version;
+  header.horizon = 1;
+  header.action_axes = {"x"};
+  return std::make_unique<Policy>(header, std::vector<float>{}, std::vector<float>{},
+                                  std::make_unique<Marked>(version));
+}
 
 class PolicySlotTest : public ::testing::Test {
  protected:
@@ -60,18 +62,18 @@ TEST_F(PolicySlotTest, IsEmptyBeforeTheFirstPolicy) {
 TEST_F(PolicySlotTest, FreesThePreviousPolicyOnlyAfterTheReaderMovedOn) {
   {
     PolicySlot slot;
-    slot.publish(std::make_unique<Marked>(1));
+    slot.publish(marked(1));
     EXPECT_EQ(slot.version_in_force(), -1) << "published is not yet in force";
     PolicySlot::Active* first = slot.acquire();
     EXPECT_EQ(first->policy->header().version, 1);
     EXPECT_EQ(slot.acquire(), first);
 
-    slot.publish(std::make_unique<Marked>(2));
+    slot.publish(marked(2));
     slot.collect();
     EXPECT_EQ(slot.version_in_force(), 1);
     EXPECT_EQ(Marked::alive, 2) << "the reader still holds version 1";
     float value = 0.0f;
-    EXPECT_TRUE(first->forward(nullptr, &value));
+    EXPECT_TRUE(first->forward({}, &value));
     EXPECT_EQ(value, 1.0f);
 
     EXPECT_EQ(slot.acquire()->policy->header().version, 2);
@@ -85,16 +87,16 @@ TEST_F(PolicySlotTest, FreesThePreviousPolicyOnlyAfterTheReaderMovedOn) {
 
 TEST_F(PolicySlotTest, SkippedPoliciesDoNotPileUp) {
   PolicySlot slot;
-  for (int version = 1; version <= 100; ++version) slot.publish(std::make_unique<Marked>(version));
+  for (int version = 1; version <= 100; ++version) slot.publish(marked(version));
   EXPECT_EQ(slot.alive(), 1u);
   EXPECT_EQ(slot.acquire()->policy->header().version, 100);
 }
 
 TEST_F(PolicySlotTest, AcquireNeitherAllocatesNorFrees) {
   PolicySlot slot;
-  slot.publish(std::make_unique<Marked>(1));
+  slot.publish(marked(1));
   slot.acquire();
-  slot.publish(std::make_unique<Marked>(2));
+  slot.publish(marked(2));
   const tandem::testing::AllocationCounter allocations;
   slot.acquire();
   EXPECT_EQ(allocations.count(), 0);
@@ -120,13 +122,13 @@ TEST_F(PolicySlotTest, SurvivesAThousandSwapsAgainstABusyReader) {
         last = version;
         for (int step = 0; step < 20; ++step) {
           float value = 0.0f;
-          if (!active->forward(nullptr, &value) || value != float(version)) ++wrong;
+          if (!active->forward({}, &value) || value != float(version)) ++wrong;
         }
       }
     });
 
     for (int version = 1; version <= kSwaps; ++version) {
-      slot.publish(std::make_unique<Marked>(version));
+      slot.publish(marked(version));
       // every other time let the reader take it, so that both taken and skipped policies occur
       while (version % 2 == 0 && slot.version_in_force() != version) std::this_thread::yield();
     }
@@ -147,7 +149,7 @@ TEST_F(PolicySlotTest, CarriesALoadedPolicy) {
   PolicySlot slot;
   slot.publish(Policy::load(write_file(make_mlp({.version = 5}))));
   std::vector<float> observation(7), chunk(6);
-  EXPECT_TRUE(slot.acquire()->forward(observation.data(), chunk.data()));
+  EXPECT_TRUE(slot.acquire()->forward({.observation = observation.data()}, chunk.data()));
   EXPECT_EQ(slot.version_in_force(), 5);
 }
 

@@ -1,0 +1,21 @@
+#include "policy_runtime/policies/head.h"
+
+#include "policy_runtime/file/safetensors.h"
+#include "policy_runtime/policies/mlp.h"
+#include "policy_runtime/policy_error.h"
+
+namespace tandem::policy {
+
+const std::vector<Camera>& Head::cameras() const noexcept {
+  static const std::vector<Camera> kNone;
+  return kNone;
+}
+
+std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& architecture,
+                                      ConfigReader config, const HeadSpec& spec) {
+  if (architecture == "mlp") return std::make_unique<MlpHead>(file, std::move(config), spec);
+  throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
+                    "; this runtime knows mlp. Train with a method that writes one of these.");
+}
+
+}  // namespace tandem::policy
