@@ -46,7 +46,8 @@ enum class Purpose : uint64_t {
   exploration = 3,
   operator_episode = 4,
   operator_step = 5,
-  robot_faults = 6
+  robot_faults = 6,
+  policy_noise = 7
 };
 
 inline Random random_for(uint64_t episode_seed, Purpose purpose, uint64_t index = 0) noexcept {

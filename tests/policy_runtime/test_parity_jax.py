@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from safetensors.numpy import save_file
+from safetensors.numpy import load_file, save_file
 
 TOLERANCE = 1e-5  # action units
 BIN = Path(os.environ.get("TANDEM_BIN", Path(__file__).resolve().parents[2] / "build" / "bin"))
@@ -123,11 +123,16 @@ def test_chunks_agree_with_jax(tmp_path: Path, network: tuple[Any, ...], kernel:
     policy = tmp_path / "policy.safetensors"
     write_policy(policy, file, config, o, axes)
 
-    (tmp_path / "in.json").write_text(json.dumps({"observation": fresh.tolist()}))
-    paths: list[str | Path] = ["--input", tmp_path / "in.json", "--output", tmp_path / "out.json"]
+    save_file({"observation": fresh}, tmp_path / "in.safetensors")
+    paths: list[str | Path] = [
+        "--input",
+        tmp_path / "in.safetensors",
+        "--output",
+        tmp_path / "out.safetensors",
+    ]
     result = run("run", policy, *paths, kernel=kernel)
     assert result.returncode == 0, result.stderr
-    ours = np.array(json.loads((tmp_path / "out.json").read_text())["chunk"])
+    ours = load_file(tmp_path / "out.safetensors")["chunk"]
 
     theirs = np.array(forward(tensors, jnp.asarray(fresh), activation, h))
     assert ours.shape == theirs.shape == (64, h, n_axes)

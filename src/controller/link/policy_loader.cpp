@@ -75,6 +75,12 @@ std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
                              "], the task [" + join(task.spec().action_axes) +
                              "]; use the scenario that it was trained with.");
   }
+  if (!policy->cameras().empty()) {
+    throw std::runtime_error(path + ": the policy looks through " +
+                             std::to_string(policy->cameras().size()) + " cameras ('" +
+                             policy->cameras().front().name +
+                             "', ...); the arm has none, announce a policy without images.");
+  }
   if (header.horizon > kMaxHorizon || (horizon > 0 && header.horizon != horizon)) {
     throw std::runtime_error(path + ": the policy's chunks have " + std::to_string(header.horizon) +
                              " steps; the scenario's method.horizon is " + std::to_string(horizon) +

@@ -1,5 +1,6 @@
 #include "controller/loop/policy_worker.h"
 
+#include "base/random.h"
 #include "controller/loop/clock.h"
 
 namespace tandem {
@@ -48,7 +49,11 @@ void PolicyWorker::infer(const StepSnapshot& snapshot, PolicyAnswer& answer) noe
   policy::PolicySlot::Active* active = slot_.acquire();
   if (!active) return;
   const int64_t start_ns = monotonic_ns();
-  if (!active->forward({.observation = answer.observation.values.data()}, output_.data())) return;
+  const policy::Input input{.observation = answer.observation.values.data(),
+                            .seed = random_for(snapshot.episode_seed, Purpose::policy_noise,
+                                               static_cast<uint64_t>(snapshot.chunk_id))
+                                        .next()};
+  if (!active->forward(input, output_.data())) return;
 
   // Scatter the active axes into the seven of the wire.
   const policy::Header& header = active->policy->header();

@@ -31,6 +31,9 @@ class SafetensorsFile {
   /// The value of a metadata key. @throws PolicyError when there is none.
   const std::string& metadata(const std::string& key) const;
 
+  /// Whether there is a tensor of that name.
+  bool contains(const std::string& name) const { return tensors_.contains(name); }
+
   /// The shape of a tensor. @throws PolicyError when there is none of that name.
   const std::vector<std::int64_t>& shape(const std::string& name) const;
 

@@ -1,5 +1,6 @@
 #include "policy_runtime/policies/head.h"
 
+#include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/file/safetensors.h"
 #include "policy_runtime/policies/mlp.h"
 #include "policy_runtime/policy_error.h"

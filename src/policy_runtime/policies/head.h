@@ -6,10 +6,10 @@
 #include <vector>
 
 #include "policy_runtime/aligned_buffer.h"
-#include "policy_runtime/file/config_reader.h"
 
 namespace tandem::policy {
 
+class ConfigReader;
 class SafetensorsFile;
 
 /// A camera whose images a policy looks at: (height, width, 3) bytes, RGB.

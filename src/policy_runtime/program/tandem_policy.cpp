@@ -3,49 +3,77 @@
 #include <algorithm>
 #include <chrono>
 #include <cstdio>
-#include <fstream>
 #include <iostream>
 #include <nlohmann/json.hpp>
 #include <random>
 #include <stdexcept>
 
+#include "policy_runtime/file/safetensors.h"
 #include "policy_runtime/kernels/kernels.h"
 #include "policy_runtime/policy.h"
+#include "policy_runtime/program/write_safetensors.h"
 
 namespace tandem::policy {
 namespace {
 
 using Json = nlohmann::ordered_json;
 
-struct Latency {
-  double p50_us, p99_us;
+// Inputs for one evaluation after another, of the file's or random ones.
+class Inputs {
+ public:
+  // Normally distributed observations, uniform pixels.
+  explicit Inputs(const Policy& policy) : random_(1) {
+    observation_.resize(policy.header().observation_size());
+    for (const Camera& camera : policy.cameras()) {
+      images_.emplace_back(std::size_t(camera.height) * camera.width * 3);
+      for (std::uint8_t& pixel : images_.back()) pixel = static_cast<std::uint8_t>(random_());
+      pointers_.push_back(images_.back().data());
+    }
+  }
+
+  Input next() {
+    std::normal_distribution<float> normal;
+    for (float& value : observation_) value = normal(random_);
+    return {.observation = observation_.data(), .images = pointers_.data(), .seed = random_()};
+  }
+
+ private:
+  std::mt19937 random_;
+  std::vector<float> observation_;
+  std::vector<std::vector<std::uint8_t>> images_;
+  std::vector<const std::uint8_t*> pointers_;
 };
 
-// Times single evaluations, back to back, on random observations.
-Latency measure(const Policy& policy, int runs) {
+// Microseconds of single evaluations, back to back.
+std::vector<double> measure(const Policy& policy, int runs) {
   Workspace workspace = policy.make_workspace();
-  std::vector<float> observation(policy.header().observation_size());
+  Inputs inputs(policy);
   std::vector<float> chunk(policy.header().chunk_size());
   std::vector<double> microseconds;
-  std::mt19937 random(1);
-  std::normal_distribution<float> normal;
   for (int run = 0; run < runs; ++run) {
-    std::generate(observation.begin(), observation.end(), [&] { return normal(random); });
+    const Input input = inputs.next();
     const auto begin = std::chrono::steady_clock::now();
-    const bool usable =
-        policy.forward({.observation = observation.data()}, chunk.data(), workspace);
+    const bool usable = policy.forward(input, chunk.data(), workspace);
     const std::chrono::duration<double, std::micro> took = std::chrono::steady_clock::now() - begin;
     if (!usable) throw PolicyError("a normally distributed observation gave no finite chunk.");
     microseconds.push_back(took.count());
   }
-  std::sort(microseconds.begin(), microseconds.end());
-  return {microseconds[microseconds.size() / 2], microseconds[microseconds.size() * 99 / 100]};
+  return microseconds;
 }
 
-void info(const std::string& path, bool as_json) {
+double percentile(std::vector<double> values, double fraction) {
+  std::sort(values.begin(), values.end());
+  return values[std::min(values.size() - 1, std::size_t(double(values.size()) * fraction))];
+}
+
+void info(const std::string& path, int runs, bool as_json) {
   const auto policy = Policy::load(path);
   const Header& header = policy->header();
-  const Latency latency = measure(*policy, 1000);
+  const std::vector<double> microseconds = measure(*policy, runs);
+  Json cameras = Json::array();
+  for (const Camera& each : policy->cameras()) {
+    cameras.push_back({{"name", each.name}, {"height", each.height}, {"width", each.width}});
+  }
   const Json json = {{"file", path},
                      {"architecture", header.architecture},
                      {"task", header.task},
@@ -53,6 +81,8 @@ void info(const std::string& path, bool as_json) {
                      {"horizon", header.horizon},
                      {"observation", header.observation_names},
                      {"action", header.action_axes},
+                     {"noise_size", policy->noise_size()},
+                     {"cameras", cameras},
                      {"execution", Json::parse(header.execution)},
                      {"discount", header.discount},
                      {"version", header.version},
@@ -62,8 +92,8 @@ void info(const std::string& path, bool as_json) {
                      {"git_revision", header.git_revision},
                      {"kernel", kernel_name()},
                      {"golden_error", policy->golden_error()},
-                     {"inference_p50_us", latency.p50_us},
-                     {"inference_p99_us", latency.p99_us}};
+                     {"inference_p50_us", percentile(microseconds, 0.5)},
+                     {"inference_p99_us", percentile(microseconds, 0.99)}};
   if (as_json) {
     std::cout << json.dump(2) << "\n";
     return;
@@ -74,37 +104,49 @@ void info(const std::string& path, bool as_json) {
   }
 }
 
-// {"observation": [[O numbers], ...]} -> {"chunk": [[[A numbers], ... h], ...]}
+// observation (N, O), noise (N, noise_size) if given, image.CAMERA (N, H, W, 3) -> chunk (N, h, A).
+// Row n without noise takes the noise of seed n.
 void run(const std::string& path, const std::string& input, const std::string& output) {
   const auto policy = Policy::load(path);
   const Header& header = policy->header();
-  Workspace workspace = policy->make_workspace();
-  std::vector<float> chunk(header.chunk_size());
-
-  std::ifstream in(input);
-  if (!in) throw PolicyError(input + ": it cannot be read. Check the path.");
-  const Json json = Json::parse(in);
-  Json chunks = Json::array();
-  for (const Json& row : json.at("observation")) {
-    const auto observation = row.get<std::vector<float>>();
-    if (static_cast<int>(observation.size()) != header.observation_size()) {
-      throw PolicyError(input + ": an observation has " + std::to_string(observation.size()) +
-                        " numbers; this policy takes " + std::to_string(header.observation_size()) +
-                        ". Compare with tandem_policy info.");
-    }
-    if (!policy->forward({.observation = observation.data()}, chunk.data(), workspace)) {
-      throw PolicyError(input + ": an observation is not finite. Correct it.");
-    }
-    Json steps = Json::array();
-    for (auto step = chunk.begin(); step != chunk.end(); step += header.action_size()) {
-      steps.push_back(std::vector<float>(step, step + header.action_size()));
-    }
-    chunks.push_back(std::move(steps));
+  SafetensorsFile in(input);
+  const std::int64_t O = header.observation_size();
+  const std::int64_t N = in.shape("observation").front();
+  const std::vector<float> observation = in.take("observation", {N, O});
+  std::vector<float> noise;
+  if (in.contains("noise")) noise = in.take("noise", {N, policy->noise_size()});
+  std::vector<std::vector<std::uint8_t>> images;
+  for (const Camera& each : policy->cameras()) {
+    images.push_back(in.take_bytes("image." + each.name, {N, each.height, each.width, 3}));
   }
+  in.refuse_unused();
 
-  std::ofstream out(output);
-  out << Json{{"chunk", std::move(chunks)}}.dump() << "\n";
-  if (!out.flush()) throw PolicyError(output + ": it cannot be written. Check folder and disk.");
+  Workspace workspace = policy->make_workspace();
+  std::vector<float> chunk(N * header.chunk_size());
+  std::vector<const std::uint8_t*> pointers(images.size());
+  for (std::int64_t n = 0; n < N; ++n) {
+    for (std::size_t i = 0; i < images.size(); ++i) {
+      pointers[i] = images[i].data() + n * (images[i].size() / N);
+    }
+    const Input row{.observation = &observation[n * O],
+                    .images = pointers.data(),
+                    .noise = noise.empty() ? nullptr : &noise[n * policy->noise_size()],
+                    .seed = std::uint64_t(n)};
+    if (!policy->forward(row, &chunk[n * header.chunk_size()], workspace)) {
+      throw PolicyError(input + ": observation " + std::to_string(n) +
+                        " gave no finite chunk. Correct it.");
+    }
+  }
+  write_safetensors(output, "chunk", {N, header.horizon, header.action_size()}, chunk);
+}
+
+// One JSON object, for programs that compare.
+void bench(const std::string& path, int runs) {
+  const auto policy = Policy::load(path);
+  const Json json = {{"kernel", kernel_name()},
+                     {"golden_error", policy->golden_error()},
+                     {"microseconds", measure(*policy, runs)}};
+  std::cout << json.dump() << "\n";
 }
 
 void list_kernels() {
@@ -122,24 +164,39 @@ int main(int argc, char** argv) {
   app.require_subcommand(1);
   std::string file, input, output;
   bool as_json = false;
+  int runs = 100;
 
   CLI::App* info_command = app.add_subcommand("info", "Header, parity error and inference time");
   info_command->add_option("FILE", file, "policy file (.safetensors)")->required();
+  info_command->add_option("--runs", runs, "evaluations to time, default 100")
+      ->check(CLI::Range(1, 1000000));
   info_command->add_flag("--json", as_json, "print one JSON object");
 
-  CLI::App* run_command = app.add_subcommand("run", "Evaluate observations from a JSON file");
+  CLI::App* run_command = app.add_subcommand("run", "Evaluate the inputs of a safetensors file");
   run_command->add_option("FILE", file, "policy file (.safetensors)")->required();
-  run_command->add_option("--input", input, "{\"observation\": [[O], ...]}")->required();
-  run_command->add_option("--output", output, "{\"chunk\": [[[A], ...h], ...]}")->required();
+  run_command
+      ->add_option("--input", input,
+                   "observation (N, O); noise (N, noise_size), else of seeds 0, 1, ...; "
+                   "image.CAMERA (N, H, W, 3) U8")
+      ->required();
+  run_command->add_option("--output", output, "chunk (N, h, A)")->required();
+
+  CLI::App* bench_command =
+      app.add_subcommand("bench", "Microseconds of every evaluation, as JSON");
+  bench_command->add_option("FILE", file, "policy file (.safetensors)")->required();
+  bench_command->add_option("--runs", runs, "evaluations, default 100")
+      ->check(CLI::Range(1, 1000000));
 
   app.add_subcommand("kernels", "Kernels this machine can run, best first, and the chosen one");
   CLI11_PARSE(app, argc, argv);
 
   try {
     if (info_command->parsed()) {
-      info(file, as_json);
+      info(file, runs, as_json);
     } else if (run_command->parsed()) {
       run(file, input, output);
+    } else if (bench_command->parsed()) {
+      bench(file, runs);
     } else {
       list_kernels();
     }
