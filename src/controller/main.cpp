@@ -15,6 +15,7 @@
 
 #include "controller/loop/run.h"
 #include "controller/loop/scenario.h"
+#include "policy_runtime/kernels/kernels.h"
 
 namespace tandem {
 namespace {
@@ -83,6 +84,7 @@ void write_results(const std::string& path, const std::vector<episode_end_t>& ep
                             {"records_dropped", board.records_dropped.load()},
                             {"tick_compute_us", summary(board.tick_time)},
                             {"robot_us", summary(board.robot_time)},
+                            {"kernel", policy::kernel_name()},
                             {"wakeup_us", summary(board.wakeup)},
                             {"tick_compute_histogram_us", counts(board.tick_time)},
                             {"wakeup_histogram_us", counts(board.wakeup)},
@@ -205,7 +207,7 @@ int main(int argc, char** argv) {
   CLI::App app{
       "The arm's side of Tandem: 1 kHz control loop, policy, recorder. './tandem train' starts and "
       "supervises it."};
-  std::string scenario, run_folder, results, root = ".";
+  std::string scenario, run_folder, results, kernel, root = ".";
   const char* environment_url = std::getenv("LCM_DEFAULT_URL");
   std::string lcm_url = environment_url ? environment_url : "";
   bool check = false;
@@ -216,6 +218,8 @@ int main(int argc, char** argv) {
                  "LCM network, e.g. udpm://239.255.76.67:7667?ttl=0 [LCM_DEFAULT_URL]");
   app.add_option("--root", root, "root of the checkout, where models/ lies [.]");
   app.add_option("--results", results, "file for a JSON summary of all episodes");
+  app.add_option("--kernel", kernel,
+                 "instruction set of the policy: scalar, AVX2, ... [TANDEM_KERNEL, else the best]");
   app.add_flag("--check", check, "only check the scenario: exit 0, or 2 with a sentence");
   CLI11_PARSE(app, argc, argv);
   try {
@@ -223,6 +227,7 @@ int main(int argc, char** argv) {
       tandem::read_scenario(tandem::Section::load(scenario));
       return 0;
     }
+    if (!kernel.empty()) tandem::policy::force_kernel(kernel);
     return tandem::run(scenario, run_folder, lcm_url, root, results);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());

@@ -160,11 +160,13 @@ void list_kernels() {
 
 int main(int argc, char** argv) {
   using namespace tandem::policy;
-  CLI::App app{"Looks at Tandem policy files and evaluates them. TANDEM_KERNEL forces a kernel."};
+  CLI::App app{"Looks at Tandem policy files and evaluates them."};
   app.require_subcommand(1);
-  std::string file, input, output;
+  std::string file, input, output, kernel;
   bool as_json = false;
   int runs = 100;
+  app.add_option("--kernel", kernel,
+                 "instruction set: scalar, AVX2, ... [TANDEM_KERNEL, else the best]");
 
   CLI::App* info_command = app.add_subcommand("info", "Header, parity error and inference time");
   info_command->add_option("FILE", file, "policy file (.safetensors)")->required();
@@ -191,6 +193,7 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
 
   try {
+    if (!kernel.empty()) force_kernel(kernel);
     if (info_command->parsed()) {
       info(file, runs, as_json);
     } else if (run_command->parsed()) {

@@ -87,8 +87,12 @@ def options(sanitizer: Sanitizer, reports: Path) -> dict[str, str]:
     suppressions = ROOT / "tests" / "sanitizers"
     common = f"log_path={reports}/report:halt_on_error=0"
     if sanitizer is Sanitizer.thread:
-        return {"TSAN_OPTIONS": f"{common}:suppressions={suppressions}/thread.supp:second_deadlock_stack=1"}
+        return {
+            "LDFLAGS": "-fsanitize=thread",  # of what a test builds against our libraries
+            "TSAN_OPTIONS": f"{common}:suppressions={suppressions}/thread.supp:second_deadlock_stack=1",
+        }
     return {
+        "LDFLAGS": "-fsanitize=address,undefined",
         "ASAN_OPTIONS": f"{common}:detect_stack_use_after_return=1:strict_string_checks=1",
         "UBSAN_OPTIONS": f"{common}:print_stacktrace=1",
         "LSAN_OPTIONS": f"suppressions={suppressions}/leak.supp:print_suppressions=0",
