@@ -6,53 +6,62 @@
 #define TANDEM_POLICY_KERNELS_GEMV_INL_H_
 #endif
 
+#include <algorithm>
+
 #include "policy_runtime/kernels/vector-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace tandem::policy {
 namespace HWY_NAMESPACE {
 
-// One register of rows of a panel against all columns. Columns 0, 4, 8.. go to the first sum, 1, 5,
-// 9.. to the second and so on: four chains of additions run at once, and the order is the same at
-// any register width.
-template <int kRegisters>
-HWY_INLINE void GemvRows(const float* HWY_RESTRICT w, int padded_columns,
+// kWidth registers of rows against all columns. Columns 0, 4, 8.. go to the first sum, 1, 5, 9.. to
+// the second and so on: four chains of additions run at once, and the order is the same at any
+// register width.
+template <int kWidth, typename Weight>
+HWY_INLINE void GemvRows(const Weight* HWY_RESTRICT w, int padded_columns,
                          const float* HWY_RESTRICT b, const float* HWY_RESTRICT x,
                          float* HWY_RESTRICT y) {
-  constexpr int kSecond = (kRegisters - 1) * kLanes;  // where the second register of rows begins
-  V a0 = hn::Load(d, b), a1 = hn::Zero(d), a2 = hn::Zero(d), a3 = hn::Zero(d);
-  [[maybe_unused]] V c0 = hn::Load(d, b + kSecond), c1 = hn::Zero(d), c2 = hn::Zero(d),
-                     c3 = hn::Zero(d);
-  for (int column = 0; column < padded_columns; column += PackedMatrix::kPhases) {
-    const V x0 = hn::Set(d, x[column]), x1 = hn::Set(d, x[column + 1]);
-    const V x2 = hn::Set(d, x[column + 2]), x3 = hn::Set(d, x[column + 3]);
-    a0 = hn::MulAdd(hn::Load(d, w), x0, a0);
-    a1 = hn::MulAdd(hn::Load(d, w + kPadding), x1, a1);
-    a2 = hn::MulAdd(hn::Load(d, w + 2 * kPadding), x2, a2);
-    a3 = hn::MulAdd(hn::Load(d, w + 3 * kPadding), x3, a3);
-    if constexpr (kRegisters == 2) {
-      c0 = hn::MulAdd(hn::Load(d, w + kSecond), x0, c0);
-      c1 = hn::MulAdd(hn::Load(d, w + kPadding + kSecond), x1, c1);
-      c2 = hn::MulAdd(hn::Load(d, w + 2 * kPadding + kSecond), x2, c2);
-      c3 = hn::MulAdd(hn::Load(d, w + 3 * kPadding + kSecond), x3, c3);
-    }
-    w += PackedMatrix::kPhases * kPadding;
+  constexpr int kPhases = PackedMatrix::kPhases;
+  V sum[kPhases][kWidth];
+  HWY_UNROLL(2)
+  for (int i = 0; i < kWidth; ++i) {
+    sum[0][i] = hn::Load(d, b + i * kLanes);
+    HWY_UNROLL(4)
+    for (int phase = 1; phase < kPhases; ++phase) sum[phase][i] = hn::Zero(d);
   }
-  hn::Store(hn::Add(hn::Add(a0, a1), hn::Add(a2, a3)), d, y);
-  if constexpr (kRegisters == 2) {
-    hn::Store(hn::Add(hn::Add(c0, c1), hn::Add(c2, c3)), d, y + kSecond);
+  for (int column = 0; column < padded_columns; column += kPhases, w += kPhases * kPadding) {
+    HWY_UNROLL(4)
+    for (int phase = 0; phase < kPhases; ++phase) {
+      const V value = hn::Set(d, x[column + phase]);
+      HWY_UNROLL(2)
+      for (int i = 0; i < kWidth; ++i) {
+        const V weights = LoadWeights(w + phase * kPadding + i * kLanes);
+        sum[phase][i] = hn::MulAdd(weights, value, sum[phase][i]);
+      }
+    }
+  }
+  HWY_UNROLL(2)
+  for (int i = 0; i < kWidth; ++i) {
+    const V even = hn::Add(sum[0][i], sum[1][i]), odd = hn::Add(sum[2][i], sum[3][i]);
+    hn::Store(hn::Add(even, odd), d, y + i * kLanes);
+  }
+}
+
+template <typename Weight>
+HWY_INLINE void GemvOf(const Weight* w, const PackedMatrix& W, const float* b, const float* x,
+                       float* y) {
+  constexpr int kWidth = std::min(2, kRegisters);
+  const int columns = W.padded_columns();
+  for (int row = 0; row < W.rows; row += kPadding, w += std::size_t(columns) * kPadding) {
+    for (int lane = 0; lane < kPadding; lane += kWidth * kLanes) {
+      GemvRows<kWidth>(w + lane, columns, b + row + lane, x, y + row + lane);
+    }
   }
 }
 
 void Gemv(const PackedMatrix& W, const float* b, const float* x, float* y) {
-  constexpr int kRegisters = kLanes < kPadding ? 2 : 1;
-  const int columns = W.padded_columns();
-  const float* panel = W.data;
-  for (int row = 0; row < W.rows; row += kPadding, panel += std::size_t(columns) * kPadding) {
-    for (int lane = 0; lane < kPadding; lane += kRegisters * kLanes) {
-      GemvRows<kRegisters>(panel + lane, columns, b + row + lane, x, y + row + lane);
-    }
-  }
+  if (W.precision == Precision::kFloat32) return GemvOf(W.data, W, b, x, y);
+  GemvOf(W.data_bf16, W, b, x, y);
 }
 
 }  // namespace HWY_NAMESPACE

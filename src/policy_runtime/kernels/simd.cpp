@@ -13,6 +13,7 @@
 #include <hwy/foreach_target.h>
 // clang-format on
 #include "policy_runtime/kernels/elementwise-inl.h"
+#include "policy_runtime/kernels/gemm-inl.h"
 #include "policy_runtime/kernels/gemv-inl.h"
 
 HWY_BEFORE_NAMESPACE();
@@ -23,7 +24,7 @@ Kernels Table() {
   const std::string_view name = hwy::TargetName(HWY_TARGET);
   return {name == "AVX3" ? "AVX-512" : name.data(),
           Gemv,
-          scalar_kernels().gemm,
+          Gemm,
           LayerNorm,
           Activate,
           scalar_kernels().attention};

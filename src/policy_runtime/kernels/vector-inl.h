@@ -20,6 +20,15 @@ namespace hn = hwy::HWY_NAMESPACE;
 constexpr hn::CappedTag<float, kPadding> d;
 using V = hn::Vec<decltype(d)>;
 constexpr int kLanes = static_cast<int>(hn::MaxLanes(d));  // divides kPadding
+constexpr int kRegisters = kPadding / kLanes;              // a column of a panel
+
+// kLanes weights, as they lie in memory.
+HWY_INLINE V LoadWeights(const float* w) { return hn::Load(d, w); }
+HWY_INLINE V LoadWeights(const std::uint16_t* w) {
+  constexpr hn::Rebind<std::uint16_t, decltype(d)> halves;
+  constexpr hn::RebindToUnsigned<decltype(d)> bits;
+  return hn::BitCast(d, hn::ShiftLeft<16>(hn::PromoteTo(bits, hn::Load(halves, w))));
+}
 
 }  // namespace HWY_NAMESPACE
 }  // namespace tandem::policy

@@ -7,59 +7,29 @@
 #include <random>
 
 #include "policy_runtime/policy_error.h"
+#include "random_problem.h"
 
 namespace tandem::policy {
 namespace {
 
 const int kSizes[] = {1, 2, 3, 4, 5, 7, 8, 15, 16, 17, 31, 33, 63, 64, 100, 129, 257};
 
-AlignedBuffer random_vector(int n, std::mt19937& random, float deviation = 1.0f) {
-  std::normal_distribution<float> normal(0.0f, deviation);
-  AlignedBuffer buffer(n);
-  for (int i = 0; i < n; ++i) buffer.data()[i] = normal(random);
-  return buffer;
-}
-
-void expect_padding_zero(const AlignedBuffer& y, int n) {
-  for (std::size_t i = n; i < y.size(); ++i) ASSERT_EQ(y.data()[i], 0.0f) << "padding " << i;
-}
-
-struct Problem {
-  PackedMatrix W;
-  std::vector<float> row_major;
-  AlignedBuffer packed, b, x, y;
-
-  Problem(int rows, int columns, std::mt19937& random)
-      : W{rows, columns},
-        row_major(std::size_t(rows) * columns),
-        packed(W.floats()),
-        b(random_vector(rows, random)),
-        x(random_vector(columns, random)),
-        y(rows) {
-    std::normal_distribution<float> normal;
-    for (float& weight : row_major) weight = normal(random);
-    pack(row_major.data(), W, packed.data());
-  }
-};
-
 TEST(Gemv, AgreesWithTheFormulaAtEverySize) {
   std::mt19937 random(1);
   for (const int rows : kSizes) {
     for (const int columns : kSizes) {
-      Problem p(rows, columns, random);
-      std::vector<Kernels> all = simd_kernels();
-      all.push_back(scalar_kernels());
-      for (const Kernels& kernels : all) {
-        std::fill_n(p.y.data(), p.y.size(), 99.0f);
-        kernels.gemv(p.W, p.b.data(), p.x.data(), p.y.data());
+      const RandomMatrix matrix(rows, columns, random);
+      const AlignedBuffer b = random_vector(rows, random), x = random_vector(columns, random);
+      AlignedBuffer y(rows);
+      for (const Kernels& kernels : all_kernels()) {
+        std::fill_n(y.data(), y.size(), 99.0f);
+        kernels.gemv(matrix.W, b.data(), x.data(), y.data());
         for (int r = 0; r < rows; ++r) {
-          double expected = p.b.data()[r];
-          for (int c = 0; c < columns; ++c)
-            expected += double{p.row_major[r * columns + c]} * p.x.data()[c];
-          ASSERT_NEAR(p.y.data()[r], expected, 2e-6 * (columns + 4))
+          const double expected = matrix.product(r, x.data(), b.data()[r]);
+          ASSERT_NEAR(y.data()[r], expected, 2e-6 * (columns + 4))
               << kernels.name << " " << rows << " x " << columns << " row " << r;
         }
-        expect_padding_zero(p.y, rows);
+        expect_padding_zero(y, rows);
       }
     }
   }
@@ -68,18 +38,18 @@ TEST(Gemv, AgreesWithTheFormulaAtEverySize) {
 // What lets logs of an AVX2 and an AVX-512 machine compare bit for bit.
 TEST(Gemv, SumsInAnOrderThatDoesNotDependOnTheRegisterWidth) {
   std::mt19937 random(2);
-  Problem p(21, 131, random);
+  const RandomMatrix matrix(85, 131, random);
+  const AlignedBuffer b = random_vector(85, random), x = random_vector(131, random);
+  AlignedBuffer y(85);
   for (const Kernels& kernels : simd_kernels()) {
-    const std::string name = kernels.name;
-    const bool fused = name == "AVX2" || name == "AVX-512" || name == "NEON";
-    kernels.gemv(p.W, p.b.data(), p.x.data(), p.y.data());
-    for (int r = 0; r < p.W.rows; ++r) {
-      float sum[4] = {p.b.data()[r], 0.0f, 0.0f, 0.0f};
-      for (int c = 0; c < p.W.columns; ++c) {
-        const float w = p.row_major[r * p.W.columns + c], x = p.x.data()[c];
-        sum[c % 4] = fused ? std::fma(w, x, sum[c % 4]) : sum[c % 4] + w * x;
+    kernels.gemv(matrix.W, b.data(), x.data(), y.data());
+    for (int r = 0; r < matrix.W.rows; ++r) {
+      float sum[4] = {b.data()[r], 0.0f, 0.0f, 0.0f};
+      for (int c = 0; c < matrix.W.columns; ++c) {
+        const float w = matrix.row(r)[c], v = x.data()[c];
+        sum[c % 4] = fused(kernels) ? std::fma(w, v, sum[c % 4]) : sum[c % 4] + w * v;
       }
-      ASSERT_EQ(p.y.data()[r], (sum[0] + sum[1]) + (sum[2] + sum[3])) << name << " row " << r;
+      ASSERT_EQ(y.data()[r], (sum[0] + sum[1]) + (sum[2] + sum[3])) << kernels.name << " row " << r;
     }
   }
 }
@@ -117,9 +87,7 @@ TEST(LayerNorm, HasZeroMeanAndUnitBiasedVariance) {
 
 TEST(Activation, AgreesWithDoublePrecisionOverTheWholeRange) {
   const int n = 2001;
-  std::vector<Kernels> all = simd_kernels();
-  all.push_back(scalar_kernels());
-  for (const Kernels& kernels : all) {
+  for (const Kernels& kernels : all_kernels()) {
     for (const Activation f :
          {Activation::kIdentity, Activation::kRelu, Activation::kTanh, Activation::kGelu}) {
       AlignedBuffer y(n);
