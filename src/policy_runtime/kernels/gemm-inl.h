@@ -10,6 +10,8 @@
 #define TANDEM_POLICY_KERNELS_GEMM_INL_H_
 #endif
 
+#include <hwy/cache_control.h>
+
 #include <algorithm>
 #include <array>
 #include <utility>
@@ -30,10 +32,18 @@ constexpr int tile_panels(int rows) { return std::clamp(kSums / (rows * kRegiste
 constexpr int kBlockRows = 120;     // of X
 constexpr int kBlockColumns = 256;  // 16 KiB of a panel
 
+// What a tile fetches into the caches meanwhile: from `from` on, `step` bytes further per column.
+// The next panel's weights then come in evenly while this one computes, not all at once when the
+// first tile needs them.
+struct Ahead {
+  const char* from;
+  std::size_t step;
+};
+
 // y = start + x w' for kRows rows and kPanels panels, column after column. start may be y.
 template <int kRows, int kPanels, typename Weight>
 void Tile(const Weight* w, std::size_t panel_stride, int columns, ConstRows x, ConstRows start,
-          Rows y) {
+          Rows y, Ahead ahead) {
   constexpr int kWidth = kPanels * kRegisters;
   V sum[kRows][kWidth];
   HWY_UNROLL(12)
@@ -44,6 +54,11 @@ void Tile(const Weight* w, std::size_t panel_stride, int columns, ConstRows x, C
     }
   }
   for (int column = 0; column < columns; ++column, w += kPadding) {
+    HWY_UNROLL(4)
+    for (int panel = 0; panel < kPanels; ++panel) {
+      hwy::Prefetch(ahead.from + panel * panel_stride * sizeof(Weight));
+    }
+    ahead.from += ahead.step;
     const auto weights = [&](int i) {
       return LoadWeights(w + (i / kRegisters) * panel_stride + i % kRegisters * kLanes);
     };
@@ -79,7 +94,7 @@ void Tile(const Weight* w, std::size_t panel_stride, int columns, ConstRows x, C
 }
 
 template <typename Weight>
-using TileFunction = void (*)(const Weight*, std::size_t, int, ConstRows, ConstRows, Rows);
+using TileFunction = void (*)(const Weight*, std::size_t, int, ConstRows, ConstRows, Rows, Ahead);
 
 // Entry r: tiles of r + 1 rows.
 template <typename Weight, int... kRow>
@@ -107,18 +122,23 @@ void GemmBlock(const Weight* w, int panels, std::size_t panel_stride, int column
   constexpr auto kRowCounts = std::make_integer_sequence<int, kTileRows>();
   static constexpr auto kWide = WideTiles<Weight>(kRowCounts);
   static constexpr auto kNarrow = NarrowTiles<Weight>(kRowCounts);
-  const int tile_rows = divide_up(n, divide_up(n, kTileRows));  // of about equal height
+  const int tiles = divide_up(n, kTileRows);
+  const int tile_rows = divide_up(n, tiles);  // of about equal height
   const int wide = tile_panels(tile_rows);
+  constexpr std::size_t kColumnBytes = kPadding * sizeof(Weight);
   for (int panel = 0; panel < panels;) {
     const int width = panels - panel >= wide ? wide : 1;
-    for (int row = 0; row < n; row += tile_rows) {
+    for (int row = 0, t = 0; row < n; row += tile_rows, ++t) {
       const int rows = std::min(tile_rows, n - row);
       const bool fits = tile_panels(rows) == width;  // else panel by panel
       const TileFunction<Weight> tile = (fits ? kWide : kNarrow)[rows - 1];
       for (int i = panel; i < panel + width; i += fits ? width : 1) {
         const int output = i * kPadding;
-        tile(w + i * panel_stride, panel_stride, columns, part(X, row), part(start, row, output),
-             part(Y, row, output));
+        const Weight* weights = w + i * panel_stride;
+        const auto* next = reinterpret_cast<const char*>(weights + width * panel_stride);
+        tile(weights, panel_stride, columns, part(X, row), part(start, row, output),
+             part(Y, row, output),
+             {next + columns * kColumnBytes * t / tiles, kColumnBytes / tiles + 1});
       }
     }
     panel += width;
