@@ -17,22 +17,23 @@ HWY_BEFORE_NAMESPACE();
 namespace tandem::policy {
 namespace HWY_NAMESPACE {
 
-// Sum of f(y[i]) over the first n: 16 partial sums at any register width, then those from left to
-// right.
+// Sum of f(y[i]) over the first n, in kPadding sums.
 template <typename F>
 HWY_INLINE float Sum(const float* y, int n, F f) {
-  alignas(64) float partial[kPadding];
-  for (int lane = 0; lane < kPadding; lane += kLanes) {
-    V sum = hn::Zero(d);
-    for (int i = lane; i < n; i += kPadding) {
-      const auto inside = hn::FirstN(d, std::min(n - i, kLanes));
-      sum = hn::Add(sum, hn::IfThenElseZero(inside, f(hn::Load(d, y + i))));
+  V sum[kRegisters];
+  for (V& each : sum) each = hn::Zero(d);
+  int i = 0;
+  for (; i + kPadding <= n; i += kPadding) {
+    HWY_UNROLL(4)
+    for (int r = 0; r < kRegisters; ++r) {
+      sum[r] = hn::Add(sum[r], f(hn::Load(d, y + i + r * kLanes)));
     }
-    hn::Store(sum, d, partial + lane);
   }
-  float total = 0.0f;
-  for (const float value : partial) total += value;
-  return total;
+  for (int r = 0; i < n; i += kLanes, ++r) {
+    const auto inside = hn::FirstN(d, std::min(n - i, kLanes));
+    sum[r] = hn::Add(sum[r], hn::IfThenElseZero(inside, f(hn::Load(d, y + i))));
+  }
+  return SumOfLanes(sum);
 }
 
 void LayerNorm(const float* scale, const float* offset, float epsilon, float* y, int n) {
