@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <string>
@@ -53,9 +54,14 @@ struct AttentionShape {
   int heads = 1;
   int head_size = 0;
 
-  /// Floats of scratch that attention needs.
+  static constexpr int kBlock = 48;  ///< queries at a time, so that their scores stay in the cache
+
+  /// Floats of scratch that attention needs: one head's keys and values in panels, a row of zeros,
+  /// scores and results of a block of queries.
   std::size_t scratch() const {
-    return padded(n_keys) * (std::size_t(head_size) + std::size_t(n_queries));
+    const std::size_t keys = padded(n_keys), size = padded(head_size);
+    return keys * head_size + n_keys * size + std::max(keys, size) +
+           std::min(n_queries, kBlock) * (keys + size);
   }
 };
 
@@ -92,7 +98,9 @@ struct Kernels {
   void (*activate)(Activation f, float* y, int n);
 
   /// out (n_queries, ·) = softmax(Q K') V, head by head. Q carries the factor 1 / sqrt(head_size)
-  /// already. Only the columns of the heads are written. Rows need no alignment here.
+  /// already. Only the columns of the heads are written. Rows need no alignment here; scratch (64
+  /// bytes aligned, any content) does. A number that is not finite never goes unnoticed: it makes
+  /// those outputs NaN or infinite that depend on it.
   void (*attention)(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
                     float* scratch);
 };

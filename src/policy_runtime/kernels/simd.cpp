@@ -12,6 +12,7 @@
 // clang-format off
 #include <hwy/foreach_target.h>
 // clang-format on
+#include "policy_runtime/kernels/attention-inl.h"
 #include "policy_runtime/kernels/elementwise-inl.h"
 #include "policy_runtime/kernels/gemm-inl.h"
 #include "policy_runtime/kernels/gemv-inl.h"
@@ -22,12 +23,7 @@ namespace HWY_NAMESPACE {
 
 Kernels Table() {
   const std::string_view name = hwy::TargetName(HWY_TARGET);
-  return {name == "AVX3" ? "AVX-512" : name.data(),
-          Gemv,
-          Gemm,
-          LayerNorm,
-          Activate,
-          scalar_kernels().attention};
+  return {name == "AVX3" ? "AVX-512" : name.data(), Gemv, Gemm, LayerNorm, Activate, Attention};
 }
 
 }  // namespace HWY_NAMESPACE

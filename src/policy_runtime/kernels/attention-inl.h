@@ -1,0 +1,112 @@
+// Attention, one head after the other: its keys and values are laid out as panels, so that both
+// products are gemm.
+#if defined(TANDEM_POLICY_KERNELS_ATTENTION_INL_H_) == defined(HWY_TARGET_TOGGLE)
+#ifdef TANDEM_POLICY_KERNELS_ATTENTION_INL_H_
+#undef TANDEM_POLICY_KERNELS_ATTENTION_INL_H_
+#else
+#define TANDEM_POLICY_KERNELS_ATTENTION_INL_H_
+#endif
+
+#include <hwy/contrib/math/math-inl.h>
+
+#include <algorithm>
+#include <limits>
+
+#include "policy_runtime/kernels/gemm-inl.h"
+#include "policy_runtime/kernels/vector-inl.h"
+
+HWY_BEFORE_NAMESPACE();
+namespace tandem::policy {
+namespace HWY_NAMESPACE {
+
+// K (n, size) as a packed matrix: scores = q K'.
+void PackKeys(ConstRows K, int n, int size, float* panels) {
+  for (int first = 0; first < n; first += kPadding, panels += size * kPadding) {
+    for (int lane = 0; lane < kPadding; ++lane) {
+      const float* key = part(K, std::min(first + lane, n - 1)).data;  // past the end: any will do
+      for (int c = 0; c < size; ++c) panels[c * kPadding + lane] = key[c];
+    }
+  }
+}
+
+// V (n, size) as the packed matrix V' (size, n): output = p V.
+void PackValues(ConstRows V, int n, int size, float* panels) {
+  for (int first = 0; first < size; first += kPadding) {
+    const int width = std::min(kPadding, size - first);
+    for (int j = 0; j < n; ++j, panels += kPadding) {
+      const float* value = part(V, j, first).data;
+      if (width == kPadding) {
+        std::copy_n(value, kPadding, panels);
+      } else {
+        std::fill(std::copy_n(value, width, panels), panels + kPadding, 0.0f);
+      }
+    }
+  }
+}
+
+// scores = exp(scores - the largest) over the first n, zero up to the padding. Returns their sum.
+float ExpAndSum(float* scores, int n) {
+  const int end = static_cast<int>(padded(n));
+  std::fill(scores + n, scores + end, -std::numeric_limits<float>::infinity());
+  V largest = hn::Load(d, scores);
+  for (int i = kLanes; i < end; i += kLanes) largest = hn::Max(largest, hn::Load(d, scores + i));
+  largest = hn::MaxOfLanes(d, largest);
+  V sum[kRegisters];
+  for (V& each : sum) each = hn::Zero(d);
+  for (int i = 0; i < end; i += kPadding) {
+    HWY_UNROLL(4)
+    for (int r = 0; r < kRegisters; ++r) {
+      float* at = scores + i + r * kLanes;
+      const V x = hn::Sub(hn::Load(d, at), largest);
+      const V weight = hn::IfThenElse(hn::IsNaN(x), x, hn::Exp(d, x));  // Exp makes 0 of NaN
+      hn::Store(weight, d, at);
+      sum[r] = hn::Add(sum[r], weight);
+    }
+  }
+  return SumOfLanes(sum);
+}
+
+// to = from / total
+void Divide(const float* from, float total, int size, float* to) {
+  int c = 0;
+  for (; c + kLanes <= size; c += kLanes) {
+    hn::StoreU(hn::Div(hn::Load(d, from + c), hn::Set(d, total)), d, to + c);
+  }
+  for (; c < size; ++c) to[c] = from[c] / total;
+}
+
+void Attention(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
+               float* scratch) {
+  const int size = shape.head_size, n_keys = shape.n_keys;
+  const std::size_t key_stride = padded(n_keys), size_stride = padded(size);
+  float* keys = scratch;
+  float* values = keys + key_stride * size;
+  float* zeros = values + n_keys * size_stride;
+  const Rows scores{zeros + std::max(key_stride, size_stride), key_stride};
+  const Rows results{scores.data + std::min(shape.n_queries, shape.kBlock) * key_stride,
+                     size_stride};
+  std::fill(zeros, scores.data, 0.0f);
+  for (int head = 0; head < shape.heads; ++head) {
+    const int begin = head * size;
+    PackKeys(part(K, 0, begin), n_keys, size, keys);
+    PackValues(part(V, 0, begin), n_keys, size, values);
+    for (int first = 0; first < shape.n_queries; first += shape.kBlock) {
+      const int n = std::min(shape.kBlock, shape.n_queries - first);
+      float total[AttentionShape::kBlock];
+      GemmBlock(keys, divide_up(n_keys, kPadding), std::size_t(size) * kPadding, size,
+                part(Q, first, begin), n, {zeros, 0}, scores);
+      for (int i = 0; i < n; ++i) total[i] = ExpAndSum(part(scores, i).data, n_keys);
+      GemmBlock(values, divide_up(size, kPadding), std::size_t(n_keys) * kPadding, n_keys, scores,
+                n, {zeros, 0}, results);
+      for (int i = 0; i < n; ++i) {
+        Divide(part(results, i).data, total[i], size, part(out, first + i, begin).data);
+      }
+    }
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace tandem::policy
+HWY_AFTER_NAMESPACE();
+
+#endif
