@@ -19,12 +19,35 @@ HWY_BEFORE_NAMESPACE();
 namespace tandem::policy {
 namespace HWY_NAMESPACE {
 
+// Columns [0, 4) of four keys to the same four lanes of four columns of a panel.
+HWY_INLINE void TransposeFour(const float* const (&keys)[4], float* panel) {
+  constexpr hn::Full128<float> four;
+  const auto k0 = hn::LoadU(four, keys[0]), k1 = hn::LoadU(four, keys[1]);
+  const auto k2 = hn::LoadU(four, keys[2]), k3 = hn::LoadU(four, keys[3]);
+  const auto even01 = hn::InterleaveLower(four, k0, k2), odd01 = hn::InterleaveLower(four, k1, k3);
+  const auto even23 = hn::InterleaveUpper(four, k0, k2), odd23 = hn::InterleaveUpper(four, k1, k3);
+  hn::Store(hn::InterleaveLower(four, even01, odd01), four, panel);
+  hn::Store(hn::InterleaveUpper(four, even01, odd01), four, panel + kPadding);
+  hn::Store(hn::InterleaveLower(four, even23, odd23), four, panel + 2 * kPadding);
+  hn::Store(hn::InterleaveUpper(four, even23, odd23), four, panel + 3 * kPadding);
+}
+
 // K (n, size) as a packed matrix: scores = q K'.
 void PackKeys(ConstRows K, int n, int size, float* panels) {
   for (int first = 0; first < n; first += kPadding, panels += size * kPadding) {
-    for (int lane = 0; lane < kPadding; ++lane) {
-      const float* key = part(K, std::min(first + lane, n - 1)).data;  // past the end: any will do
-      for (int c = 0; c < size; ++c) panels[c * kPadding + lane] = key[c];
+    for (int lane = 0; lane < kPadding; lane += 4) {
+      const float* keys[4];
+      for (int i = 0; i < 4; ++i) {
+        keys[i] = part(K, std::min(first + lane + i, n - 1)).data;  // past the end: any will do
+      }
+      int c = 0;
+      for (; c + 4 <= size; c += 4) {
+        TransposeFour({keys[0] + c, keys[1] + c, keys[2] + c, keys[3] + c},
+                      panels + c * kPadding + lane);
+      }
+      for (; c < size; ++c) {
+        for (int i = 0; i < 4; ++i) panels[c * kPadding + lane + i] = keys[i][c];
+      }
     }
   }
 }
@@ -36,7 +59,9 @@ void PackValues(ConstRows V, int n, int size, float* panels) {
     for (int j = 0; j < n; ++j, panels += kPadding) {
       const float* value = part(V, j, first).data;
       if (width == kPadding) {
-        std::copy_n(value, kPadding, panels);
+        for (int lane = 0; lane < kPadding; lane += kLanes) {
+          hn::Store(hn::LoadU(d, value + lane), d, panels + lane);
+        }
       } else {
         std::fill(std::copy_n(value, width, panels), panels + kPadding, 0.0f);
       }
@@ -77,21 +102,23 @@ void Divide(const float* from, float total, int size, float* to) {
 
 void Attention(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
                float* scratch) {
+  if (shape.n_queries <= 0) return;
   const int size = shape.head_size, n_keys = shape.n_keys;
   const std::size_t key_stride = padded(n_keys), size_stride = padded(size);
+  // blocks of queries of about equal height
+  const int block = divide_up(shape.n_queries, divide_up(shape.n_queries, shape.kBlock));
   float* keys = scratch;
   float* values = keys + key_stride * size;
   float* zeros = values + n_keys * size_stride;
   const Rows scores{zeros + std::max(key_stride, size_stride), key_stride};
-  const Rows results{scores.data + std::min(shape.n_queries, shape.kBlock) * key_stride,
-                     size_stride};
+  const Rows results{scores.data + block * key_stride, size_stride};
   std::fill(zeros, scores.data, 0.0f);
   for (int head = 0; head < shape.heads; ++head) {
     const int begin = head * size;
     PackKeys(part(K, 0, begin), n_keys, size, keys);
     PackValues(part(V, 0, begin), n_keys, size, values);
-    for (int first = 0; first < shape.n_queries; first += shape.kBlock) {
-      const int n = std::min(shape.kBlock, shape.n_queries - first);
+    for (int first = 0; first < shape.n_queries; first += block) {
+      const int n = std::min(block, shape.n_queries - first);
       float total[AttentionShape::kBlock];
       GemmBlock(keys, divide_up(n_keys, kPadding), std::size_t(size) * kPadding, size,
                 part(Q, first, begin), n, {zeros, 0}, scores);

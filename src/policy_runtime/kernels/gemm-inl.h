@@ -126,6 +126,8 @@ void GemmBlock(const Weight* w, int panels, std::size_t panel_stride, int column
   const int tile_rows = divide_up(n, tiles);  // of about equal height
   const int wide = tile_panels(tile_rows);
   constexpr std::size_t kColumnBytes = kPadding * sizeof(Weight);
+  const std::size_t share = columns * kColumnBytes / tiles;  // of the next panel, for each tile
+  const std::size_t step = kColumnBytes / tiles + 1;
   for (int panel = 0; panel < panels;) {
     const int width = panels - panel >= wide ? wide : 1;
     for (int row = 0, t = 0; row < n; row += tile_rows, ++t) {
@@ -137,8 +139,7 @@ void GemmBlock(const Weight* w, int panels, std::size_t panel_stride, int column
         const Weight* weights = w + i * panel_stride;
         const auto* next = reinterpret_cast<const char*>(weights + width * panel_stride);
         tile(weights, panel_stride, columns, part(X, row), part(start, row, output),
-             part(Y, row, output),
-             {next + columns * kColumnBytes * t / tiles, kColumnBytes / tiles + 1});
+             part(Y, row, output), {next + t * share, step});
       }
     }
     panel += width;

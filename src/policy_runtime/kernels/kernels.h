@@ -88,7 +88,8 @@ struct Kernels {
   void (*gemv)(const PackedMatrix& W, const float* b, const float* x, float* y);
 
   /// Y = X W' + bias for n rows: X (n, W.columns), bias and Y (n, W.rows), every row padded. Every
-  /// sum runs over the columns in order, from the bias on, as in gemv independent of the width.
+  /// sum runs over the columns in order, from the bias on, as in gemv independent of the width, and
+  /// of n. A row of X that is not finite makes its own row of Y NaN or infinite, padding included.
   void (*gemm)(const PackedMatrix& W, ConstRows bias, ConstRows X, int n, Rows Y);
 
   /// y = (y - mean) / sqrt(variance + epsilon) * scale + offset over the first n, biased variance.

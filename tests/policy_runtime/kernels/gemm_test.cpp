@@ -94,6 +94,17 @@ TEST(Gemm, BfloatWeightsComputeAsTheFloatsThatTheyStandFor) {
   }
 }
 
+TEST(Gemm, OfNoRowsWritesNothing) {
+  std::mt19937 random(15);
+  const RandomMatrix matrix(20, 40, random);
+  RandomRows X(1, 40, 0, random), bias(1, 20, 0, random), Y(1, 20, 0, random);
+  const float before = Y.row(0)[0];
+  for (const Kernels& kernels : all_kernels()) {
+    kernels.gemm(matrix.W, bias, X, 0, Y);
+    ASSERT_EQ(Y.row(0)[0], before) << kernels.name;
+  }
+}
+
 TEST(Gemm, KeepsABadRowToItself) {
   std::mt19937 random(14);
   const int n = 15, columns = 40, outputs = 20;
