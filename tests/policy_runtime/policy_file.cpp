@@ -39,7 +39,7 @@ std::string PolicyFile::header() const {
   Json json = {{"__metadata__", metadata}};
   std::int64_t begin = 0;
   for (const auto& [name, tensor] : tensors) {
-    const std::int64_t end = begin + tensor.values.size() * sizeof(float);
+    const std::int64_t end = begin + tensor.values.size() * (tensor.dtype == "BF16" ? 2 : 4);
     json[name] = {{"dtype", tensor.dtype}, {"shape", tensor.shape}, {"data_offsets", {begin, end}}};
     begin = end;
   }
@@ -49,8 +49,10 @@ std::string PolicyFile::header() const {
 std::string PolicyFile::data() const {
   std::string bytes;
   for (const auto& [name, tensor] : tensors) {
-    bytes.append(reinterpret_cast<const char*>(tensor.values.data()),
-                 tensor.values.size() * sizeof(float));
+    const std::size_t kept = tensor.dtype == "BF16" ? 2 : 4;  // the upper bytes of a float
+    for (const float& value : tensor.values) {
+      bytes.append(reinterpret_cast<const char*>(&value) + sizeof value - kept, kept);
+    }
   }
   return bytes;
 }

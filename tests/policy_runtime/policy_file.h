@@ -14,7 +14,7 @@ namespace tandem::policy::testing {
 struct Tensor {
   std::vector<std::int64_t> shape;
   std::vector<float> values;
-  std::string dtype = "F32";
+  std::string dtype = "F32";  ///< BF16 cuts the lower halves of the values off
 };
 
 struct PolicyFile {

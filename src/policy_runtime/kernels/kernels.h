@@ -78,6 +78,17 @@ struct ConstRows {
   ConstRows(Rows rows) : data(rows.data), stride(rows.stride) {}  // NOLINT: meant to convert
 };
 
+/// A tile of 2 x 2 pixels that winograd_output writes.
+struct WinogradOutput {
+  int channels = 0;                 ///< a multiple of kPadding
+  int height = 2, width = 2;        ///< less where the tile sticks out of the map
+  bool relu = false;                ///< y = max(y, 0) at the end
+  const float* residual = nullptr;  ///< added before that; null: nothing
+  std::size_t residual_row_stride = 0, residual_pixel_stride = 0;
+  float* out = nullptr;
+  std::size_t out_row_stride = 0, out_pixel_stride = 0;
+};
+
 /// One instruction set. None of these allocates, locks or throws.
 struct Kernels {
   const char* name;  ///< "scalar", "SSE4", "AVX2", "AVX-512", ...
@@ -104,6 +115,15 @@ struct Kernels {
   /// those outputs NaN or infinite that depend on it.
   void (*attention)(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
                     float* scratch);
+
+  /// Winograd's F(2 x 2, 3 x 3) on the way in, channel by channel: V = B' D B for D, 4 x 4 pixels.
+  /// Pixel (y, x) begins at D + y row_stride + x channels, element i of V (16, row by row) at V +
+  /// i stride. channels is a multiple of kPadding.
+  void (*winograd_input)(const float* D, std::size_t row_stride, int channels, float* V,
+                         std::size_t stride);
+
+  /// And on the way out: Y = A' M A, 2 x 2 pixels. Element i of M (16) begins at M + i stride.
+  void (*winograd_output)(const float* M, std::size_t stride, const WinogradOutput& tile);
 };
 
 /// The set in use: TANDEM_KERNEL if it is set, else the best of this machine. Cheap, lock-free

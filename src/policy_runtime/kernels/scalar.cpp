@@ -85,10 +85,44 @@ void attention(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows 
   }
 }
 
+void winograd_input(const float* D, std::size_t row_stride, int channels, float* V,
+                    std::size_t stride) {
+  constexpr float B[4][4] = {{1, 0, 0, 0}, {0, 1, -1, 1}, {-1, 1, 1, 0}, {0, 0, 0, -1}};
+  for (int c = 0; c < channels; ++c) {
+    for (int i = 0; i < 16; ++i) {
+      float sum = 0.0f;
+      for (int y = 0; y < 4; ++y) {
+        for (int x = 0; x < 4; ++x) {
+          sum += B[y][i / 4] * B[x][i % 4] * D[y * row_stride + std::size_t(x) * channels + c];
+        }
+      }
+      V[i * stride + c] = sum;
+    }
+  }
+}
+
+void winograd_output(const float* M, std::size_t stride, const WinogradOutput& tile) {
+  constexpr float A[4][2] = {{1, 0}, {1, 1}, {1, -1}, {0, -1}};
+  for (int y = 0; y < tile.height; ++y) {
+    for (int x = 0; x < tile.width; ++x) {
+      for (int c = 0; c < tile.channels; ++c) {
+        float sum = 0.0f;
+        for (int i = 0; i < 16; ++i) sum += A[i / 4][y] * A[i % 4][x] * M[i * stride + c];
+        if (tile.residual) {
+          sum += tile.residual[y * tile.residual_row_stride + x * tile.residual_pixel_stride + c];
+        }
+        if (tile.relu) sum = apply(Activation::kRelu, sum);
+        tile.out[y * tile.out_row_stride + x * tile.out_pixel_stride + c] = sum;
+      }
+    }
+  }
+}
+
 }  // namespace
 
 const Kernels& scalar_kernels() {
-  static constexpr Kernels kTable = {"scalar", gemv, gemm, layer_norm, activate, attention};
+  static constexpr Kernels kTable = {"scalar", gemv,      gemm,           layer_norm,
+                                     activate, attention, winograd_input, winograd_output};
   return kTable;
 }
 

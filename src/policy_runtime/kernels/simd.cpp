@@ -16,6 +16,7 @@
 #include "policy_runtime/kernels/elementwise-inl.h"
 #include "policy_runtime/kernels/gemm-inl.h"
 #include "policy_runtime/kernels/gemv-inl.h"
+#include "policy_runtime/kernels/winograd-inl.h"
 
 HWY_BEFORE_NAMESPACE();
 namespace tandem::policy {
@@ -23,7 +24,14 @@ namespace HWY_NAMESPACE {
 
 Kernels Table() {
   const std::string_view name = hwy::TargetName(HWY_TARGET);
-  return {name == "AVX3" ? "AVX-512" : name.data(), Gemv, Gemm, LayerNorm, Activate, Attention};
+  return {name == "AVX3" ? "AVX-512" : name.data(),
+          Gemv,
+          Gemm,
+          LayerNorm,
+          Activate,
+          Attention,
+          WinogradInput,
+          WinogradOut};
 }
 
 }  // namespace HWY_NAMESPACE

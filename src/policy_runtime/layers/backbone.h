@@ -39,19 +39,24 @@ class Backbone {
  private:
   friend class BackboneBuilder;
   static constexpr int kBuffers = 3;
-  static constexpr int kFeatures = -1;  // in place of a buffer: the caller's features
 
-  // A convolution, or the 3 x 3 max pool of stride 2, from one buffer to another.
+  // A map in one of the buffers, or the caller's features.
+  struct Operand {
+    std::optional<int> buffer;  // none: the features
+    MapShape shape;
+  };
+
+  // A convolution, or else the 3 x 3 max pool of stride 2.
   struct Step {
     std::optional<Convolution> convolution;
-    MapShape in, out;
-    int from, to;
-    std::optional<int> residual;  // buffer with a map like `out`; may be `to`
+    Operand in, out;
+    std::optional<Operand> residual;  // may share the buffer of out
   };
 
   Backbone() = default;
 
-  MapShape image_, out_;
+  Operand image_;
+  MapShape out_;
   std::array<std::array<float, 256>, 3> pixel_{};  // the normalised value of every byte
   std::vector<Step> steps_;
   std::array<std::size_t, kBuffers> buffer_sizes_{};  // floats

@@ -34,7 +34,7 @@ struct ConvolutionWeights {
                                  const ConvolutionShape& shape);
 
   /// NAME.weight and a batch norm frozen in NORM.{weight, bias, running_mean, running_var}.
-  /// @throws PolicyError
+  /// @throws PolicyError also when a variance is negative
   static ConvolutionWeights take_with_norm(SafetensorsFile& file, const std::string& name,
                                            const std::string& norm, const ConvolutionShape& shape);
 };
@@ -70,6 +70,7 @@ class Convolution {
   void forward_winograd(const Kernels& kernels, const Map& in, const Map& residual, const Map& out,
                         float* workspace) const noexcept;
   void gather(const Map& in, int first, int n, Rows patches) const noexcept;
+  void finish(const float* sum, const float* residual, float* out) const noexcept;
 
   ConvolutionShape shape_;
   Method method_;

@@ -1,0 +1,236 @@
+#include "policy_runtime/layers/convolution.h"
+
+#include <array>
+#include <cmath>
+#include <cstring>
+
+#include "policy_runtime/file/safetensors.h"
+#include "policy_runtime/policy_error.h"
+#include "policy_runtime/scratch.h"
+
+namespace tandem::policy {
+namespace {
+
+constexpr int kTile = MapShape::kTile, kElements = 16;  // of a tile's transform: 4 x 4
+
+int ceil_divide(int a, int b) { return (a + b - 1) / b; }
+
+// Parts of equal size, at most `most` each (but at least one gemm block of rows).
+int even_strip(int all, int most) {
+  constexpr int kBlock = 6;
+  const int strips = ceil_divide(all, std::max(most, kBlock));
+  return std::min(all, ceil_divide(ceil_divide(all, strips), kBlock) * kBlock);
+}
+
+// Columns (ky, kx, channel), the channels of a pixel padded to in_stride.
+WeightMatrix direct_weights(const ConvolutionWeights& weights, const ConvolutionShape& shape,
+                            int in_stride) {
+  const int k = shape.kernel, columns = k * k * in_stride;
+  std::vector<float> rows(std::size_t(shape.out_channels) * columns);
+  const float* weight = weights.weight.data();
+  for (int o = 0; o < shape.out_channels; ++o) {
+    for (int c = 0; c < shape.in_channels; ++c) {
+      for (int i = 0; i < k * k; ++i) {
+        rows[std::size_t(o) * columns + i * in_stride + c] = float(weights.scale[o] * *weight++);
+      }
+    }
+  }
+  return {rows, shape.out_channels, columns, Precision::kFloat32};
+}
+
+// U = G g G' for the kernel g of every output and input.
+std::array<double, kElements> transform(const float* g) {
+  constexpr double G[4][3] = {{1, 0, 0}, {0.5, 0.5, 0.5}, {0.5, -0.5, 0.5}, {0, 0, 1}};
+  std::array<double, kElements> U{};
+  for (int i = 0; i < kElements; ++i) {
+    for (int j = 0; j < 9; ++j) U[i] += G[i / 4][j / 3] * g[j] * G[i % 4][j % 3];
+  }
+  return U;
+}
+
+std::vector<WeightMatrix> winograd_weights(const ConvolutionWeights& weights,
+                                           const ConvolutionShape& shape, int in_stride) {
+  std::vector<std::vector<float>> elements(
+      kElements, std::vector<float>(std::size_t(shape.out_channels) * in_stride));
+  const float* weight = weights.weight.data();
+  for (int o = 0; o < shape.out_channels; ++o) {
+    for (int c = 0; c < shape.in_channels; ++c, weight += 9) {
+      const auto U = transform(weight);
+      for (int i = 0; i < kElements; ++i) {
+        elements[i][std::size_t(o) * in_stride + c] = float(weights.scale[o] * U[i]);
+      }
+    }
+  }
+  std::vector<WeightMatrix> matrices;
+  for (const auto& rows : elements) {
+    matrices.emplace_back(rows, shape.out_channels, in_stride, Precision::kFloat32);
+  }
+  return matrices;
+}
+
+}  // namespace
+
+ConvolutionWeights ConvolutionWeights::take(SafetensorsFile& file, const std::string& name,
+                                            const ConvolutionShape& shape) {
+  const int k = shape.kernel;
+  ConvolutionWeights weights;
+  weights.weight = file.take(name + ".weight", {shape.out_channels, shape.in_channels, k, k});
+  weights.scale.assign(shape.out_channels, 1.0);
+  const std::vector<float> bias = file.take(name + ".bias", {shape.out_channels});
+  weights.bias.assign(bias.begin(), bias.end());
+  return weights;
+}
+
+ConvolutionWeights ConvolutionWeights::take_with_norm(SafetensorsFile& file,
+                                                      const std::string& name,
+                                                      const std::string& norm,
+                                                      const ConvolutionShape& shape) {
+  const int out = shape.out_channels, k = shape.kernel;
+  ConvolutionWeights weights;
+  weights.weight = file.take(name + ".weight", {out, shape.in_channels, k, k});
+  const auto scale = file.take(norm + ".weight", {out}), offset = file.take(norm + ".bias", {out});
+  const auto mean = file.take(norm + ".running_mean", {out});
+  const auto variance = file.take(norm + ".running_var", {out});
+  for (int o = 0; o < out; ++o) {
+    if (variance[o] < 0.0f) {
+      throw PolicyError(file.path() + ": tensor " + printable(norm + ".running_var") +
+                        " is negative at element " + std::to_string(o) +
+                        "; a variance is at least 0. Write the file again.");
+    }
+    weights.scale.push_back(scale[o] / std::sqrt(double{variance[o]} + kBatchNormEpsilon));
+    weights.bias.push_back(offset[o] - mean[o] * weights.scale[o]);
+  }
+  return weights;
+}
+
+Convolution::Method Convolution::fastest(const ConvolutionShape& shape, const MapShape& in) {
+  const bool can = shape.kernel == 3 && shape.stride == 1 && in.pixel_stride % kPadding == 0;
+  return can && in.tiles_down() * in.tiles_across() >= 9 ? Method::kWinograd : Method::kDirect;
+}
+
+Convolution::Convolution(const ConvolutionWeights& weights, const ConvolutionShape& shape,
+                         const MapShape& in, Method method)
+    : shape_(shape),
+      method_(method),
+      out_height_(shape.out_side(in.height)),
+      out_width_(shape.out_side(in.width)),
+      in_stride_(in.pixel_stride),
+      bias_(shape.out_channels),
+      zero_(shape.out_channels) {
+  std::copy(weights.bias.begin(), weights.bias.end(), bias_.data());
+  constexpr std::size_t kStripFloats = 1 << 16;  // half of a small L2 cache
+  if (method == Method::kDirect) {
+    weights_.push_back(direct_weights(weights, shape, in_stride_));
+    strip_ = even_strip(out_height_ * out_width_,
+                        std::max<int>(48, kStripFloats / weights_[0].columns()));
+  } else {
+    weights_ = winograd_weights(weights, shape, in_stride_);
+    const std::size_t tile = kElements * (in_stride_ + padded(shape.out_channels));
+    strip_ =
+        even_strip(in.tiles_down() * in.tiles_across(), std::max<int>(48, kStripFloats / tile));
+  }
+}
+
+std::size_t Convolution::workspace_size() const noexcept {
+  const std::size_t out = padded(shape_.out_channels);
+  if (method_ == Method::kDirect) return strip_ * (padded(weights_[0].columns()) + out);
+  return kElements * (strip_ * (in_stride_ + out) + 2 * kPadding);
+}
+
+void Convolution::forward(const Kernels& kernels, const Map& in, const Map& residual,
+                          const Map& out, float* workspace) const noexcept {
+  if (method_ == Method::kDirect) {
+    forward_direct(kernels, in, residual, out, workspace);
+  } else {
+    forward_winograd(kernels, in, residual, out, workspace);
+  }
+}
+
+void Convolution::forward_direct(const Kernels& kernels, const Map& in, const Map& residual,
+                                 const Map& out, float* workspace) const noexcept {
+  const WeightMatrix& W = weights_[0];
+  Scratch scratch(workspace);
+  const std::size_t K = padded(W.columns()), O = padded(shape_.out_channels);
+  const Rows patches{scratch.take(strip_ * K), K}, Y{scratch.take(strip_ * O), O};
+  const int pixels = out_height_ * out_width_;
+  for (int first = 0; first < pixels; first += strip_) {
+    const int n = std::min(strip_, pixels - first);
+    gather(in, first, n, patches);
+    kernels.gemm(W.packed(), {bias_.data(), 0}, patches, n, Y);
+    for (int i = 0; i < n; ++i) {
+      const int y = (first + i) / out_width_, x = (first + i) % out_width_;
+      finish(Y.data + i * O, residual.first ? residual.pixel(y, x) : nullptr, out.pixel(y, x));
+    }
+  }
+}
+
+// Rows of patches: pixels first.. of the output, (ky, kx, channel) each.
+void Convolution::gather(const Map& in, int first, int n, Rows patches) const noexcept {
+  constexpr int kStep = 4;  // floats that are copied at once, and so at most 3 too many
+  const int k = shape_.kernel, columns = k * int(in_stride_);
+  int y = first / out_width_, x = first % out_width_;
+  for (int i = 0; i < n; ++i) {
+    float* row = patches.data + i * patches.stride;
+    for (int ky = 0; ky < k; ++ky, row += columns) {
+      const float* from =
+          in.pixel(y * shape_.stride - shape_.padding() + ky, x * shape_.stride - shape_.padding());
+      for (int j = 0; j < columns; j += kStep)
+        std::memcpy(row + j, from + j, kStep * sizeof(float));
+    }
+    std::fill(row, patches.data + i * patches.stride + patches.stride, 0.0f);
+    if (++x == out_width_) x = 0, ++y;
+  }
+}
+
+void Convolution::finish(const float* sum, const float* residual, float* out) const noexcept {
+  const int O = int(padded(shape_.out_channels));
+  for (int block = 0; block < O; block += kPadding) {
+    for (int j = block; j < block + kPadding; ++j) {
+      const float value = residual ? sum[j] + residual[j] : sum[j];
+      out[j] = shape_.relu && !(value > 0.0f) ? 0.0f : value;
+    }
+  }
+}
+
+void Convolution::forward_winograd(const Kernels& kernels, const Map& in, const Map& residual,
+                                   const Map& out, float* workspace) const noexcept {
+  const std::size_t C = in_stride_, O = padded(shape_.out_channels);
+  // one cache line apart, or all elements of a tile would share a few lines of the cache
+  const std::size_t V_stride = strip_ * C + kPadding, M_stride = strip_ * O + kPadding;
+  Scratch scratch(workspace);
+  float *V = scratch.take(kElements * V_stride), *M = scratch.take(kElements * M_stride);
+
+  const int across = ceil_divide(out_width_, kTile);
+  const int tiles = ceil_divide(out_height_, kTile) * across;
+  for (int first = 0; first < tiles; first += strip_) {
+    const int n = std::min(strip_, tiles - first);
+    for (int t = 0; t < n; ++t) {
+      const int y = (first + t) / across * kTile, x = (first + t) % across * kTile;
+      kernels.winograd_input(in.pixel(y - 1, x - 1), in.row_stride, int(C), V + t * C, V_stride);
+    }
+    for (int i = 0; i < kElements; ++i) {
+      // element (1, 1) enters all four outputs with factor 1: the bias goes there
+      const float* bias = i == 5 ? bias_.data() : zero_.data();
+      kernels.gemm(weights_[i].packed(), {bias, 0}, {V + i * V_stride, C}, n,
+                   {M + i * M_stride, O});
+    }
+    for (int t = 0; t < n; ++t) {
+      const int y = (first + t) / across * kTile, x = (first + t) % across * kTile;
+      const WinogradOutput tile{
+          .channels = int(O),
+          .height = std::min(kTile, out_height_ - y),
+          .width = std::min(kTile, out_width_ - x),
+          .relu = shape_.relu,
+          .residual = residual.first ? residual.pixel(y, x) : nullptr,
+          .residual_row_stride = residual.row_stride,
+          .residual_pixel_stride = residual.pixel_stride,
+          .out = out.pixel(y, x),
+          .out_row_stride = out.row_stride,
+          .out_pixel_stride = out.pixel_stride,
+      };
+      kernels.winograd_output(M + t * O, M_stride, tile);
+    }
+  }
+}
+
+}  // namespace tandem::policy
