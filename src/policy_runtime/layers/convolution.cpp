@@ -38,12 +38,19 @@ WeightMatrix direct_weights(const ConvolutionWeights& weights, const Convolution
   return {rows, shape.out_channels, columns, Precision::kFloat32};
 }
 
-// U = G g G' for the kernel g of every output and input.
+// G v
+std::array<double, 4> transform(double v0, double v1, double v2) {
+  return {v0, (v0 + v1 + v2) / 2, (v0 - v1 + v2) / 2, v2};
+}
+
+// U = G g G' for the kernel g of one output and input.
 std::array<double, kElements> transform(const float* g) {
-  constexpr double G[4][3] = {{1, 0, 0}, {0.5, 0.5, 0.5}, {0.5, -0.5, 0.5}, {0, 0, 1}};
-  std::array<double, kElements> U{};
-  for (int i = 0; i < kElements; ++i) {
-    for (int j = 0; j < 9; ++j) U[i] += G[i / 4][j / 3] * g[j] * G[i % 4][j % 3];
+  std::array<double, 4> columns[3];
+  for (int x = 0; x < 3; ++x) columns[x] = transform(g[x], g[3 + x], g[6 + x]);
+  std::array<double, kElements> U;
+  for (int y = 0; y < 4; ++y) {
+    const auto row = transform(columns[0][y], columns[1][y], columns[2][y]);
+    std::copy(row.begin(), row.end(), U.begin() + 4 * y);
   }
   return U;
 }
@@ -182,13 +189,20 @@ void Convolution::gather(const Map& in, int first, int n, Rows patches) const no
   }
 }
 
+// out = relu(sum + residual). Cache line by cache line through a local copy, which the compiler
+// keeps in registers.
 void Convolution::finish(const float* sum, const float* residual, float* out) const noexcept {
-  const int O = int(padded(shape_.out_channels));
-  for (int block = 0; block < O; block += kPadding) {
-    for (int j = block; j < block + kPadding; ++j) {
-      const float value = residual ? sum[j] + residual[j] : sum[j];
-      out[j] = shape_.relu && !(value > 0.0f) ? 0.0f : value;
+  const std::size_t O = padded(shape_.out_channels);
+  for (std::size_t begin = 0; begin < O; begin += kPadding) {
+    float line[kPadding];
+    std::memcpy(line, sum + begin, sizeof line);
+    if (residual) {
+      for (int i = 0; i < kPadding; ++i) line[i] += residual[begin + i];
     }
+    if (shape_.relu) {
+      for (float& value : line) value = value > 0.0f ? value : 0.0f;
+    }
+    std::memcpy(out + begin, line, sizeof line);
   }
 }
 
