@@ -2,6 +2,7 @@
 
 #include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/file/safetensors.h"
+#include "policy_runtime/policies/act.h"
 #include "policy_runtime/policies/mlp.h"
 #include "policy_runtime/policy_error.h"
 
@@ -15,8 +16,9 @@ const std::vector<Camera>& Head::cameras() const noexcept {
 std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& architecture,
                                       ConfigReader config, const HeadSpec& spec) {
   if (architecture == "mlp") return std::make_unique<MlpHead>(file, std::move(config), spec);
+  if (architecture == "act") return std::make_unique<ActHead>(file, std::move(config), spec);
   throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
-                    "; this runtime knows mlp. Train with a method that writes one of these.");
+                    "; this runtime knows mlp, act. Train with a method that writes one of these.");
 }
 
 }  // namespace tandem::policy
