@@ -9,7 +9,7 @@ namespace tandem::policy {
 
 Encoder::Encoder(SafetensorsFile& file, const std::string& prefix, const TransformerConfig& config,
                  int layers, const std::vector<Token>& tokens, const PositionRows& positions)
-    : tokens_(positions.count), d_(config.model_size) {
+    : tokens_(positions.count()), d_(config.model_size) {
   for (int i = 0; i < layers; ++i) {
     layers_.emplace_back(file, prefix + "." + std::to_string(i), config, positions);
   }

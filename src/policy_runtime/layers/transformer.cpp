@@ -45,6 +45,13 @@ TransformerConfig TransformerConfig::read(ConfigReader& reader) {
   return config;
 }
 
+PositionRows::PositionRows(const std::vector<float>& row_major, int count, int d)
+    : rows_(count * padded(d)), count_(count), d_(d) {
+  for (int i = 0; i < count; ++i) {
+    std::copy_n(row_major.begin() + std::size_t(i) * d, d, rows_.data() + i * padded(d));
+  }
+}
+
 FeedForward::FeedForward(SafetensorsFile& file, const std::string& prefix, const std::string& norm,
                          const TransformerConfig& config)
     : first_(file, prefix + ".feedforward1", config.model_size, config.feedforward, false,
@@ -63,7 +70,7 @@ void FeedForward::forward(const Kernels& kernels, ConstRows X, int n, Rows Y,
 
 EncoderLayer::EncoderLayer(SafetensorsFile& file, const std::string& prefix,
                            const TransformerConfig& config, const PositionRows& positions)
-    : tokens_(positions.count),
+    : tokens_(positions.count()),
       d_(config.model_size),
       attention_(file, prefix + ".attention", prefix + ".norm1", d_, config.heads, positions,
                  tokens_),
@@ -87,12 +94,12 @@ void EncoderLayer::forward(const Kernels& kernels, ConstRows X, ConstRows QKV, R
 DecoderLayer::DecoderLayer(SafetensorsFile& file, const std::string& prefix,
                            const TransformerConfig& config, const PositionRows& positions,
                            const PositionRows& memory_positions)
-    : queries_(positions.count),
+    : queries_(positions.count()),
       d_(config.model_size),
       self_(file, prefix + ".self_attention", prefix + ".norm1", d_, config.heads, positions,
             queries_),
       cross_(file, prefix + ".cross_attention", prefix + ".norm2", d_, config.heads, positions,
-             queries_, memory_positions, memory_positions.count),
+             queries_, memory_positions, memory_positions.count()),
       feedforward_(file, prefix, prefix + ".norm3", config) {}
 
 // what looked at itself | its queries | what looked at the memory | what the parts need
@@ -122,13 +129,13 @@ void DecoderLayer::forward(const Kernels& kernels, ConstRows X, ConstRows QKV, C
 FirstDecoderLayer::FirstDecoderLayer(SafetensorsFile& file, const std::string& prefix,
                                      const TransformerConfig& config, const PositionRows& positions,
                                      const PositionRows& memory_positions)
-    : queries_(positions.count),
+    : queries_(positions.count()),
       d_(config.model_size),
       x_(attend_to_zeros(SelfAttention(file, prefix + ".self_attention", prefix + ".norm1", d_,
                                        config.heads, positions, queries_),
                          queries_, d_)),
       cross_(file, prefix + ".cross_attention", prefix + ".norm2", d_, config.heads, positions,
-             queries_, memory_positions, memory_positions.count),
+             queries_, memory_positions, memory_positions.count()),
       q_(project(cross_.query_projection(), x_, queries_)),
       feedforward_(file, prefix, prefix + ".norm3", config) {}
 

@@ -1,11 +1,14 @@
 #pragma once
 
 #include <string>
+#include <vector>
 
 #include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/layers/attention.h"
 
 namespace tandem::policy {
+
+inline constexpr int kMaxLayers = 16;  ///< of an encoder, of a decoder
 
 /// The sizes that all layers of a transformer share.
 struct TransformerConfig {
@@ -19,17 +22,18 @@ struct TransformerConfig {
 };
 
 /// Positions that a transformer adds to its tokens: (count, d), each row padded.
-struct PositionRows {
-  AlignedBuffer buffer;
-  int count;
-  int d;
+class PositionRows {
+ public:
+  /// @param row_major (count, d)
+  PositionRows(const std::vector<float>& row_major, int count, int d);
 
-  /// The tensor NAME (count, d). @throws PolicyError
-  static PositionRows take(SafetensorsFile& file, const std::string& name, int count, int d) {
-    return {take_rows(file, name, count, d), count, d};
-  }
+  int count() const noexcept { return count_; }
+  int d() const noexcept { return d_; }
+  operator ConstRows() const { return {rows_.data(), padded(d_)}; }  // NOLINT: meant to convert
 
-  operator ConstRows() const { return {buffer.data(), padded(d)}; }  // NOLINT: meant to convert
+ private:
+  AlignedBuffer rows_;
+  int count_, d_;
 };
 
 /// y = norm(x + W2 act(W1 x + b1) + b2), row by row.

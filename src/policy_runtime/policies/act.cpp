@@ -9,7 +9,6 @@
 namespace tandem::policy {
 namespace {
 
-constexpr int kMaxLayers = 16;
 constexpr int kMaxLatent = 1024;
 
 std::vector<Encoder::Token> memory_tokens(const std::string& prefix, int latent_size,
@@ -17,6 +16,13 @@ std::vector<Encoder::Token> memory_tokens(const std::string& prefix, int latent_
   std::vector<Encoder::Token> all = tokens.of_encoder(prefix);
   all.insert(all.begin(), {prefix + ".latent", latent_size});
   return all;
+}
+
+PositionRows memory_positions(SafetensorsFile& file, const std::string& prefix, int n_tokens, int d,
+                              const CameraTokens& cameras) {
+  std::vector<float> all = file.take(prefix + ".token_position", {n_tokens, d});
+  all.insert(all.end(), cameras.positions().begin(), cameras.positions().end());
+  return {all, n_tokens + cameras.count(), d};
 }
 
 }  // namespace
@@ -30,8 +36,7 @@ ActHead::Config ActHead::Config::read(ConfigReader& reader, const HeadSpec& spec
   config.latent_size = reader.integer("latent_size", 1, kMaxLatent);
   config.sample_latent = reader.boolean("sample_latent");
   config.tokens = ObservationTokens::read(reader, spec.observation_size);
-  reader.objects("cameras", 0, 0);
-  reader.is_null("backbone");
+  config.cameras = CameraTokens::Config::read(reader);
   config.tanh = reader.choice("output", {"tanh", "linear"}) == 0;
   reader.finish();
   return config;
@@ -48,10 +53,10 @@ ActHead::ActHead(SafetensorsFile& file, const Config& config, const HeadSpec& sp
       sample_latent_(config.sample_latent),
       tanh_(config.tanh),
       tokens_(config.tokens),
-      query_positions_(
-          PositionRows::take(file, spec.prefix + ".query_position", config.horizon, d_)),
-      positions_(
-          PositionRows::take(file, spec.prefix + ".token_position", 1 + tokens_.count(), d_)),
+      cameras_(file, spec.prefix, config.cameras, d_),
+      query_positions_(file.take(spec.prefix + ".query_position", {config.horizon, d_}),
+                       config.horizon, d_),
+      positions_(memory_positions(file, spec.prefix, 1 + tokens_.count(), d_, cameras_)),
       encoder_(file, spec.prefix + ".encoder", config.transformer, config.encoder_layers,
                memory_tokens(spec.prefix, latent_size_, tokens_), positions_),
       first_layer_(file, spec.prefix + ".decoder.0", config.transformer, query_positions_,
@@ -68,10 +73,11 @@ ActHead::ActHead(SafetensorsFile& file, const Config& config, const HeadSpec& sp
   }
 }
 
-// the encoder's first rows | memory | latent | what embedding, encoder or decoder need
+// the encoder's first rows | memory | latent | what tokens, cameras, encoder or decoder need
 std::size_t ActHead::workspace_size(int) const noexcept {
   return encoder_.tokens() * (encoder_.row_stride() + padded(d_)) + padded(latent_size_) +
-         std::max({tokens_.workspace_size(), encoder_.workspace_size(), decode_workspace_size()});
+         std::max({tokens_.workspace_size(), cameras_.workspace_size(), encoder_.workspace_size(),
+                   decode_workspace_size()});
 }
 
 void ActHead::forward(const HeadInput& input, int samples, float* chunks,
@@ -84,6 +90,9 @@ void ActHead::forward(const HeadInput& input, int samples, float* chunks,
   float* rest = scratch.take(0);
 
   tokens_.embed(kernels, encoder_, 1, input.x, rows, rest);
+  const int features = 1 + tokens_.count();  // where they begin
+  cameras_.forward(kernels, input.images, {rows.data + features * rows.stride, rows.stride}, rest);
+  encoder_.embed_features(kernels, rows);
   const std::size_t stride = padded(chunk_size());
   for (int sample = 0; sample < samples; ++sample) {
     float* chunk = chunks + sample * stride;

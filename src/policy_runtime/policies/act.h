@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "policy_runtime/policies/camera_tokens.h"
 #include "policy_runtime/policies/head.h"
 #include "policy_runtime/policies/observation_tokens.h"
 
@@ -23,6 +24,7 @@ class ActHead final : public Head {
   ActHead(SafetensorsFile& file, ConfigReader config, const HeadSpec& spec);
 
   int noise_size() const noexcept override { return sample_latent_ ? latent_size_ : 0; }
+  const std::vector<Camera>& cameras() const noexcept override { return cameras_.cameras(); }
   std::size_t workspace_size(int samples) const noexcept override;
   void forward(const HeadInput& input, int samples, float* chunks,
                float* workspace) const noexcept override;
@@ -36,6 +38,7 @@ class ActHead final : public Head {
     int latent_size = 1;
     bool sample_latent = false;
     ObservationTokens tokens;
+    CameraTokens::Config cameras;
     bool tanh = true;
 
     static Config read(ConfigReader& reader, const HeadSpec& spec);
@@ -51,6 +54,7 @@ class ActHead final : public Head {
   bool sample_latent_;
   bool tanh_;
   ObservationTokens tokens_;
+  CameraTokens cameras_;
   PositionRows query_positions_;
   PositionRows positions_;  // of the memory
   Encoder encoder_;
