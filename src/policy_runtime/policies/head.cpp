@@ -17,8 +17,9 @@ std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& 
                                       ConfigReader config, const HeadSpec& spec) {
   if (architecture == "mlp") return std::make_unique<MlpHead>(file, std::move(config), spec);
   if (architecture == "act") return std::make_unique<ActHead>(file, std::move(config), spec);
-  throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
-                    "; this runtime knows mlp, act. Train with a method that writes one of these.");
+  throw PolicyError(
+      file.path() + ": architecture is " + printable(architecture) +
+      "; this runtime knows mlp and act. Train with a method that writes one of these.");
 }
 
 }  // namespace tandem::policy
