@@ -16,8 +16,6 @@ namespace {
 
 using Json = nlohmann::json;
 
-std::string layer(std::size_t i) { return "actor.layers." + std::to_string(i); }
-
 double apply(const std::string& activation, double x) {
   if (activation == "relu") return x > 0 ? x : 0;
   if (activation == "tanh") return std::tanh(x);
@@ -57,63 +55,109 @@ std::string PolicyFile::data() const {
   return bytes;
 }
 
+Tensor random_tensor(std::vector<std::int64_t> shape, float mean, float deviation,
+                     std::mt19937& random) {
+  std::int64_t size = 1;
+  for (const auto dimension : shape) size *= dimension;
+  std::normal_distribution<float> normal(mean, deviation);
+  Tensor made{std::move(shape), std::vector<float>(size)};
+  for (float& value : made.values) value = normal(random);
+  return made;
+}
+
+PolicyFile make_file(const std::string& architecture, const std::string& config,
+                     int observation_size, const std::vector<std::string>& axes, int version,
+                     std::mt19937& random) {
+  std::vector<std::string> names;
+  for (int i = 0; i < observation_size; ++i) names.push_back("observation_" + std::to_string(i));
+  PolicyFile file;
+  file.metadata = {{"format", "tandem-policy-1"},
+                   {"architecture", architecture},
+                   {"config", config},
+                   {"observation", Json(names).dump()},
+                   {"action", Json(axes).dump()},
+                   {"task", "peg"},
+                   {"method", "tandem"},
+                   {"execution", R"({"mode":"receding","execute":1})"},
+                   {"discount", "0.98"},
+                   {"version", std::to_string(version)},
+                   {"env_steps", "4000"},
+                   {"updates", "8000"},
+                   {"episodes_trained_through", "31"},
+                   {"git_revision", "abc123"}};
+  file.tensors["normalizer.mean"] = random_tensor({observation_size}, 0.0f, 1.0f, random);
+  file.tensors["normalizer.scale"] = random_tensor({observation_size}, 1.0f, 0.3f, random);
+  return file;
+}
+
+std::vector<double> normalised(const PolicyFile& file, const float* observation) {
+  const Tensor& mean = file.tensors.at("normalizer.mean");
+  const Tensor& scale = file.tensors.at("normalizer.scale");
+  std::vector<double> x(mean.values.size());
+  for (std::size_t i = 0; i < x.size(); ++i) {
+    x[i] = (double{observation[i]} - mean.values[i]) * scale.values[i];
+  }
+  return x;
+}
+
+void add_perceptron(PolicyFile& file, const std::string& prefix, const PerceptronSpec& spec, int in,
+                    int out, std::mt19937& random) {
+  std::vector<int> widths = spec.hidden;
+  widths.push_back(out);
+  for (std::size_t i = 0; i < widths.size(); ++i) {
+    const std::string layer = prefix + ".layers." + std::to_string(i);
+    const int width = widths[i];
+    file.tensors[layer + ".weight"] =
+        random_tensor({width, in}, 0.0f, 1.0f / std::sqrt(float(in)), random);
+    file.tensors[layer + ".bias"] = random_tensor({width}, 0.0f, 0.3f, random);
+    if (spec.layer_norm && i + 1 < widths.size()) {
+      file.tensors[layer + ".norm_scale"] = random_tensor({width}, 1.0f, 0.2f, random);
+      file.tensors[layer + ".norm_offset"] = random_tensor({width}, 0.0f, 0.2f, random);
+    }
+    in = width;
+  }
+}
+
+std::vector<double> evaluate(const PolicyFile& file, const std::string& prefix,
+                             const PerceptronSpec& spec, std::vector<double> x) {
+  for (std::size_t l = 0; l <= spec.hidden.size(); ++l) {
+    const std::string layer = prefix + ".layers." + std::to_string(l);
+    const Tensor& weight = file.tensors.at(layer + ".weight");
+    const Tensor& bias = file.tensors.at(layer + ".bias");
+    std::vector<double> y(bias.values.begin(), bias.values.end());
+    for (std::size_t row = 0; row < y.size(); ++row) {
+      for (std::size_t i = 0; i < x.size(); ++i)
+        y[row] += double{weight.values[row * x.size() + i]} * x[i];
+    }
+    if (l < spec.hidden.size()) {
+      if (spec.layer_norm) {
+        layer_norm(y, file.tensors.at(layer + ".norm_scale"),
+                   file.tensors.at(layer + ".norm_offset"));
+      }
+      for (double& value : y) value = apply(spec.activation, value);
+    }
+    x = std::move(y);
+  }
+  return x;
+}
+
 PolicyFile make_mlp(const MlpSpec& spec, unsigned seed) {
   std::mt19937 random(seed);
-  const auto tensor = [&](std::vector<std::int64_t> shape, float mean, float deviation) {
-    std::int64_t size = 1;
-    for (const auto dimension : shape) size *= dimension;
-    std::normal_distribution<float> normal(mean, deviation);
-    Tensor made{std::move(shape), std::vector<float>(size)};
-    for (float& value : made.values) value = normal(random);
-    return made;
-  };
-
-  PolicyFile file;
-  std::vector<std::string> names;
-  for (int i = 0; i < spec.observation_size; ++i)
-    names.push_back("observation_" + std::to_string(i));
+  const int O = spec.observation_size, axes = static_cast<int>(spec.axes.size());
   const Json config = {{"hidden", spec.hidden},
                        {"activation", spec.activation},
                        {"layer_norm", spec.layer_norm},
                        {"horizon", spec.horizon},
                        {"output", "tanh"}};
-  file.metadata = {{"format", "tandem-policy-1"},
-                   {"architecture", "mlp"},
-                   {"config", config.dump()},
-                   {"observation", Json(names).dump()},
-                   {"action", Json(spec.axes).dump()},
-                   {"task", "peg"},
-                   {"method", "tandem"},
-                   {"execution", R"({"mode":"receding","execute":1})"},
-                   {"discount", "0.98"},
-                   {"version", std::to_string(spec.version)},
-                   {"env_steps", "4000"},
-                   {"updates", "8000"},
-                   {"episodes_trained_through", "31"},
-                   {"git_revision", "abc123"}};
-
-  std::int64_t in = spec.observation_size;
-  std::vector<int> widths = spec.hidden;
-  const int axes = static_cast<int>(spec.axes.size());
-  widths.push_back(spec.horizon * axes);
-  for (std::size_t i = 0; i < widths.size(); ++i) {
-    const std::int64_t out = widths[i];
-    file.tensors[layer(i) + ".weight"] = tensor({out, in}, 0.0f, 1.0f / std::sqrt(float(in)));
-    file.tensors[layer(i) + ".bias"] = tensor({out}, 0.0f, 0.3f);
-    if (spec.layer_norm && i + 1 < widths.size()) {
-      file.tensors[layer(i) + ".norm_scale"] = tensor({out}, 1.0f, 0.2f);
-      file.tensors[layer(i) + ".norm_offset"] = tensor({out}, 0.0f, 0.2f);
-    }
-    in = out;
-  }
-  file.tensors["normalizer.mean"] = tensor({spec.observation_size}, 0.0f, 1.0f);
-  file.tensors["normalizer.scale"] = tensor({spec.observation_size}, 1.0f, 0.3f);
+  PolicyFile file = make_file("mlp", config.dump(), O, spec.axes, spec.version, random);
+  add_perceptron(file, "actor", {spec.hidden, spec.activation, spec.layer_norm}, O,
+                 spec.horizon * axes, random);
 
   const std::int64_t N = 8;
-  const Tensor observations = tensor({N, spec.observation_size}, 0.0f, 1.0f);
+  const Tensor observations = random_tensor({N, O}, 0.0f, 1.0f, random);
   Tensor chunks{{N, spec.horizon, axes}, {}};
   for (std::int64_t n = 0; n < N; ++n) {
-    const auto chunk = evaluate(file, spec, &observations.values[n * spec.observation_size]);
+    const auto chunk = evaluate(file, spec, &observations.values[n * O]);
     chunks.values.insert(chunks.values.end(), chunk.begin(), chunk.end());
   }
   file.tensors["golden.observation"] = observations;
@@ -123,28 +167,10 @@ PolicyFile make_mlp(const MlpSpec& spec, unsigned seed) {
 
 std::vector<double> evaluate(const PolicyFile& file, const MlpSpec& spec,
                              const float* observation) {
-  std::vector<double> x(spec.observation_size);
-  for (int i = 0; i < spec.observation_size; ++i) {
-    x[i] = (double{observation[i]} - file.tensors.at("normalizer.mean").values[i]) *
-           file.tensors.at("normalizer.scale").values[i];
-  }
-  for (std::size_t l = 0; l <= spec.hidden.size(); ++l) {
-    const Tensor& weight = file.tensors.at(layer(l) + ".weight");
-    const Tensor& bias = file.tensors.at(layer(l) + ".bias");
-    std::vector<double> y(bias.values.begin(), bias.values.end());
-    for (std::size_t row = 0; row < y.size(); ++row) {
-      for (std::size_t i = 0; i < x.size(); ++i)
-        y[row] += double{weight.values[row * x.size() + i]} * x[i];
-    }
-    const bool last = l == spec.hidden.size();
-    if (spec.layer_norm && !last) {
-      layer_norm(y, file.tensors.at(layer(l) + ".norm_scale"),
-                 file.tensors.at(layer(l) + ".norm_offset"));
-    }
-    for (double& value : y) value = last ? std::tanh(value) : apply(spec.activation, value);
-    x = std::move(y);
-  }
-  return x;
+  auto chunk = evaluate(file, "actor", {spec.hidden, spec.activation, spec.layer_norm},
+                        normalised(file, observation));
+  for (double& value : chunk) value = std::tanh(value);
+  return chunk;
 }
 
 std::string safetensors(const std::string& header, const std::string& data) {

@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <map>
+#include <random>
 #include <string>
 #include <vector>
 
@@ -34,6 +35,33 @@ struct MlpSpec {
   bool layer_norm = false;
   int version = 1;
 };
+
+/// A tensor of normally distributed numbers.
+Tensor random_tensor(std::vector<std::int64_t> shape, float mean, float deviation,
+                     std::mt19937& random);
+
+/// Metadata as a learner writes it and a random normaliser; no network, no golden examples.
+/// @param config JSON
+PolicyFile make_file(const std::string& architecture, const std::string& config,
+                     int observation_size, const std::vector<std::string>& axes, int version,
+                     std::mt19937& random);
+
+/// The observation as the network sees it, (O).
+std::vector<double> normalised(const PolicyFile& file, const float* observation);
+
+struct PerceptronSpec {
+  std::vector<int> hidden = {19, 33};
+  std::string activation = "relu";
+  bool layer_norm = false;
+};
+
+/// Adds random tensors PREFIX.layers.{i}.*.
+void add_perceptron(PolicyFile& file, const std::string& prefix, const PerceptronSpec& spec, int in,
+                    int out, std::mt19937& random);
+
+/// A perceptron in double precision, straight from the formula; its last layer is linear.
+std::vector<double> evaluate(const PolicyFile& file, const std::string& prefix,
+                             const PerceptronSpec& spec, std::vector<double> x);
 
 /// A sound file: random parameters, golden examples from evaluate().
 PolicyFile make_mlp(const MlpSpec& spec, unsigned seed = 1);
