@@ -18,15 +18,14 @@ Perceptron::Config Perceptron::Config::read(ConfigReader& reader) {
 }
 
 Perceptron::Perceptron(SafetensorsFile& file, const std::string& prefix, const Config& config,
-                       int in, int out, Activation output) {
+                       int in, int out, Activation output, int first) {
+  const auto next = [&] { return prefix + ".layers." + std::to_string(first + layers_.size()); };
   for (const int width : config.hidden) {
-    const std::string name = prefix + ".layers." + std::to_string(layers_.size());
-    layers_.emplace_back(file, name, in, width, config.layer_norm, config.activation);
+    layers_.emplace_back(file, next(), in, width, config.layer_norm, config.activation);
     width_ = std::max(width_, padded(width));
     in = width;
   }
-  const std::string name = prefix + ".layers." + std::to_string(layers_.size());
-  layers_.emplace_back(file, name, in, out, false, output);
+  layers_.emplace_back(file, next(), in, out, false, output);
 }
 
 // one layer's output | the next one's

@@ -21,9 +21,9 @@ class Perceptron {
     static Config read(ConfigReader& reader);
   };
 
-  /// Takes PREFIX.layers.{i}.*; the last layer has no norm. @throws PolicyError
+  /// Takes PREFIX.layers.{i}.* from i = first on; the last layer has no norm. @throws PolicyError
   Perceptron(SafetensorsFile& file, const std::string& prefix, const Config& config, int in,
-             int out, Activation output);
+             int out, Activation output, int first = 0);
 
   /// Floats of scratch for n rows.
   std::size_t workspace_size(int n) const noexcept;
