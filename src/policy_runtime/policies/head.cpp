@@ -3,6 +3,7 @@
 #include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/file/safetensors.h"
 #include "policy_runtime/policies/act.h"
+#include "policy_runtime/policies/flow.h"
 #include "policy_runtime/policies/gaussian.h"
 #include "policy_runtime/policies/mlp.h"
 #include "policy_runtime/policy_error.h"
@@ -19,10 +20,11 @@ std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& 
   if (architecture == "mlp") return std::make_unique<MlpHead>(file, std::move(config), spec);
   if (architecture == "gaussian")
     return std::make_unique<GaussianHead>(file, std::move(config), spec);
+  if (architecture == "flow") return std::make_unique<FlowHead>(file, std::move(config), spec);
   if (architecture == "act") return std::make_unique<ActHead>(file, std::move(config), spec);
-  throw PolicyError(
-      file.path() + ": architecture is " + printable(architecture) +
-      "; this runtime knows mlp, gaussian and act. Train with a method that writes one of these.");
+  throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
+                    "; this runtime knows mlp, gaussian, flow and act. Train with a method that "
+                    "writes one of these.");
 }
 
 }  // namespace tandem::policy
