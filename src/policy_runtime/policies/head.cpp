@@ -3,6 +3,7 @@
 #include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/file/safetensors.h"
 #include "policy_runtime/policies/act.h"
+#include "policy_runtime/policies/best_of_n.h"
 #include "policy_runtime/policies/flow.h"
 #include "policy_runtime/policies/gaussian.h"
 #include "policy_runtime/policies/mlp.h"
@@ -22,9 +23,11 @@ std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& 
     return std::make_unique<GaussianHead>(file, std::move(config), spec);
   if (architecture == "flow") return std::make_unique<FlowHead>(file, std::move(config), spec);
   if (architecture == "act") return std::make_unique<ActHead>(file, std::move(config), spec);
+  if (architecture == "best_of_n")
+    return std::make_unique<BestOfNHead>(file, std::move(config), spec);
   throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
-                    "; this runtime knows mlp, gaussian, flow and act. Train with a method that "
-                    "writes one of these.");
+                    "; this runtime knows mlp, gaussian, flow, act and best_of_n. Train with a "
+                    "method that writes one of these.");
 }
 
 }  // namespace tandem::policy
