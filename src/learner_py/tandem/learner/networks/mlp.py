@@ -1,4 +1,4 @@
-"""Networks: one MLP, used as the actor and, M times side by side, as the critic ensemble.
+"""The MLP: a head (chunk = tanh of its output), and, M times side by side, the critic ensemble.
 
 Activations are features first, (F, B): LayerNorm then sums over the leading axis, which the CPU vectorises over the
 batch (one critic step took 3.9 ms so, 4.9 ms batch first, on a busy machine).
@@ -8,24 +8,59 @@ LayerNorm acts on the pre-activation, y = act(LN(W x + b)), eps 1e-6, biased var
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-Array = jax.Array
+from tandem.learner.networks.base import (
+    ACTIVATIONS,
+    Activation,
+    Array,
+    HeadConfig,
+    Hidden,
+    Horizon,
+    Images,
+    Params,
+    array,
+    ones,
+    zeros,
+)
+
 Layer = dict[str, Array]  # weight (out, in), bias (out); with LayerNorm also norm_scale, norm_offset (out)
 Mlp = list[Layer]
 
-ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
-    "relu": jax.nn.relu,
-    "tanh": jnp.tanh,
-    "gelu": lambda x: jax.nn.gelu(x, approximate=True),  # the tanh form, as in the policy runtime
-}
 NORM_EPSILON = 1e-6
+OUTPUT_GAIN = 0.1  # a small output layer: the first actions are near zero, which is "hold"
+
+
+class Config(HeadConfig):
+    hidden: Hidden
+    activation: Activation
+    layer_norm: bool
+    horizon: Horizon
+    output: Literal["tanh"] = "tanh"
+
+
+def init(generator: np.random.Generator, config: Config, n_observation: int, n_axes: int) -> Params:
+    sizes = [n_observation, *config.hidden, config.horizon * n_axes]
+    return {"layers": init_mlp(generator, sizes, config.layer_norm, OUTPUT_GAIN)}
+
+
+def noise_size(config: Config, n_axes: int) -> int:
+    return 0
+
+
+def chunk(params: Params, config: Config, x: Array, noise: Array, images: Images) -> Array:
+    """Normalised observations (B, O) -> chunks (B, h, A) in [-1, 1]. No noise (B, 0), no images."""
+    return actor_chunk(params["layers"], x, config.activation, config.horizon)
+
+
+# ---- layers
 
 
 def init_mlp(
@@ -40,14 +75,14 @@ def init_mlp(
         is_output = index == len(sizes) - 2
         deviation = output_gain * n_in**-0.5 if is_output else (2.0 / n_in) ** 0.5
         weight = deviation * generator.standard_normal((n_out, n_in))
-        layer = {"weight": jnp.asarray(weight, jnp.float32), "bias": jnp.zeros(n_out)}
+        layer = {"weight": array(weight), "bias": zeros(n_out)}
         if layer_norm and not is_output:
-            layer |= {"norm_scale": jnp.ones(n_out), "norm_offset": jnp.zeros(n_out)}
+            layer |= {"norm_scale": ones(n_out), "norm_offset": zeros(n_out)}
         layers.append(layer)
     return layers
 
 
-def mlp(layers: Mlp, x: Array, activation: str) -> Array:
+def forward(layers: Mlp, x: Array, activation: str) -> Array:
     """(in, B) -> (out, B); hidden layers activated, the output layer linear."""
     act = ACTIVATIONS[activation]
     for layer in layers[:-1]:
@@ -68,7 +103,7 @@ def _hidden(layer: Layer, x: Array) -> Array:
 
 def actor_chunk(layers: Mlp, x: Array, activation: str, horizon: int) -> Array:
     """Normalised observations (B, O) -> chunks (B, h, A) in [-1, 1]."""
-    output = jnp.tanh(mlp(layers, x.T, activation)).T
+    output = jnp.tanh(forward(layers, x.T, activation)).T
     return output.reshape(x.shape[0], horizon, -1)
 
 
@@ -78,7 +113,7 @@ def init_ensemble(generator: np.random.Generator, members: int, sizes: Sequence[
     return jax.tree.map(lambda *arrays: jnp.stack(arrays), *critics)
 
 
-def ensemble_values(layers: Mlp, x: Array, chunk: Array) -> Array:
+def ensemble_values(layers: Mlp, x: Array, chunk: Array, activation: str = "relu") -> Array:
     """Values (M, B) of chunks (B, h, A) at normalised observations (B, O), one row a member."""
     inputs = jnp.concatenate([x, chunk.reshape(x.shape[0], -1)], axis=1).T  # (O + h A, B)
-    return jax.vmap(lambda member: mlp(member, inputs, "relu")[0])(layers)
+    return jax.vmap(lambda member: forward(member, inputs, activation)[0])(layers)

@@ -1,0 +1,50 @@
+"""The policies' networks, one module a head:
+
+    Config       frozen pydantic; its JSON dump is the policy file's "config"
+    init         (generator, config, O, A) -> params: dicts and lists of arrays, whose path is the tensor's name
+    noise_size   (config, A) -> how many normal numbers a chunk takes
+    chunk        (params, config, x (B, O) normalised, noise (B, noise_size), images) -> (B, h, A); to be jitted
+
+The C++ runtime computes the same from a policy file. A new head is a module here and its name in SINGLE_HEADS.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from tandem.learner.networks import act, best_of_n
+from tandem.learner.networks.base import Array, HeadConfig, Params
+from tandem.learner.networks.image import Camera
+from tandem.learner.networks.mlp import Mlp, actor_chunk, ensemble_values, init_ensemble, init_mlp
+
+__all__ = [
+    "HEADS",
+    "Array",
+    "Camera",
+    "HeadConfig",
+    "Mlp",
+    "Params",
+    "actor_chunk",
+    "cameras",
+    "ensemble_values",
+    "init_ensemble",
+    "init_mlp",
+    "read_config",
+]
+
+HEADS: dict[str, ModuleType] = {**best_of_n.SINGLE_HEADS, "best_of_n": best_of_n}
+
+
+def read_config(architecture: str, value: Any) -> Any:
+    """The config of a policy file as the head's type. Raises pydantic.ValidationError."""
+    return TypeAdapter(HEADS[architecture].Config).validate_python(value)
+
+
+def cameras(config: HeadConfig) -> tuple[Camera, ...]:
+    """The images that a head looks at; each once, if heads of a best of N share it."""
+    if isinstance(config, best_of_n.Config):
+        return tuple(dict.fromkeys(camera for part in config.heads for camera in cameras(part.config)))
+    return config.cameras if isinstance(config, act.Config) else ()
