@@ -75,7 +75,8 @@ def good(tmp_path: Path) -> Path:
     )
     mean, scale = np.full(4, 0.5), np.full(4, 2.0)
     path = tmp_path / "policies" / "policy_000007.safetensors"
-    write_policy(path, header, layers, mean, scale, random_.normal(size=(8, 4)), np.zeros((8, 1, 2)))
+    golden = {"observation": random_.normal(size=(8, 4)), "chunk": np.zeros((8, 1, 2))}
+    write_policy(path, header, {"layers": layers}, mean, scale, golden)
     return path
 
 

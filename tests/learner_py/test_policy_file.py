@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
+import heads
+import ml_dtypes
 import numpy as np
 import pytest
 import support
 from safetensors import safe_open
 
+from tandem.learner.golden import golden_examples
+from tandem.learner.networks import HEADS, best_of_n
 from tandem.learner.normalizer import Normalizer
 from tandem.learner.trainer import Trainer
-from tandem.policy_file import PolicyFileError, encode_safetensors, read_header, read_safetensors, write_file
+from tandem.policy_file import (
+    PolicyFileError,
+    PolicyHeader,
+    encode_safetensors,
+    named_arrays,
+    read_header,
+    read_safetensors,
+    rounded,
+    write_file,
+    write_policy,
+)
 
 
 def trained(**facts) -> Trainer:
@@ -108,3 +122,112 @@ def test_constant_inputs_do_not_blow_up():
     np.testing.assert_allclose(normalizer.scale, [1 / moving.std(), 1e3, 1e3], rtol=1e-5)
     np.testing.assert_allclose(normalizer.apply(observation)[:, 0].std(), 1.0, rtol=1e-5)
     assert np.abs(normalizer.apply(observation + np.float32(0.01))[:, 1:]).max() < 11
+
+
+# ---- any architecture
+
+
+def header(architecture, config):
+    return PolicyHeader(
+        architecture=architecture, config=config, observation=list("abcdefg"), action=["x", "y"], task="peg",
+        method="test", execution={"mode": "receding"}, discount=0.98, version=1, env_steps=0, updates=0,
+        episodes_trained_through=-1, git_revision="test",
+    )  # fmt: skip
+
+
+def written(path, architecture, config, bfloat16=False, **changes):
+    """A file of a random network, and the network."""
+    typed, params = heads.network(architecture, config, 7, 2)
+    params = rounded(params) if bfloat16 else params
+    mean, scale = np.full(7, 0.5, np.float32), np.full(7, 2.0, np.float32)
+    golden = golden_examples(architecture, typed, params, 2, mean, scale, np.random.default_rng(0)) | changes
+    write_policy(path, header(architecture, config), params, mean, scale, golden, bfloat16)
+    return typed, params
+
+
+SEEING = heads.act(cameras=heads.CAMERAS, backbone=heads.CNN, sample_latent=True)
+
+
+def test_golden_examples_hold_every_input_and_their_chunk(tmp_path):
+    typed, params = written(tmp_path / "p", "act", SEEING)
+    tensors, _ = read_safetensors(tmp_path / "p")
+    assert tensors["golden.image.top"].shape == (8, 24, 31, 3)
+    assert tensors["golden.image.wrist"].dtype == np.uint8
+    assert tensors["golden.noise"].shape == (8, 5) and tensors["golden.observation"].shape == (8, 7)
+    x = (tensors["golden.observation"] - tensors["normalizer.mean"]) * tensors["normalizer.scale"]
+    assert 1 < np.abs(x).max() <= 3.001
+    images = {name: tensors[f"golden.image.{name}"] for name in ("top", "wrist")}
+    chunk = heads.jitted(HEADS["act"].chunk)(params, typed, x, tensors["golden.noise"], images)
+    np.testing.assert_allclose(chunk, tensors["golden.chunk"], atol=2e-6)
+    assert {name for name in tensors if name.startswith("actor.")} == set(named_arrays(params, "actor"))
+    assert read_header(tmp_path / "p").config == SEEING
+
+
+def test_parts_of_a_best_of_n_have_names_of_their_own(tmp_path):
+    written(
+        tmp_path / "p", "best_of_n", heads.best_of_n([("flow", heads.flow(), 2), ("mlp", heads.mlp(), 1)])
+    )
+    tensors, _ = read_safetensors(tmp_path / "p")
+    assert {name.rpartition(".layers")[0] for name in tensors if ".layers" in name} == {
+        "actor.0", "actor.1", "edit", "critic.0", "critic.1", "critic.2",
+    }  # fmt: skip
+    assert tensors["critic.2.layers.0.weight"].shape == (11, 7 + 6)
+
+
+def test_golden_examples_of_a_best_of_n_have_clear_winners():
+    config = heads.best_of_n([("gaussian", heads.gaussian(), 40)], edit=False)
+    typed, params = heads.network("best_of_n", config, 7, 2)
+    mean, scale = np.zeros(7, np.float32), np.ones(7, np.float32)
+    generator = np.random.default_rng(0)
+    observation = generator.normal(size=(30, 7)).astype(np.float32)
+    golden = golden_examples("best_of_n", typed, params, 2, mean, scale, generator, observation)
+    np.testing.assert_array_equal(golden["observation"], observation)
+    proposed = best_of_n.candidates(params, typed, observation, golden["noise"], {})
+    score = np.sort(
+        best_of_n.scores(best_of_n.stacked(params["critic"]), typed.critic, observation, proposed)
+    )
+    lead = score[:, -1] - score[:, -2]
+    assert (lead > 0.99e-3 * np.abs(score[:, -2:]).max(axis=1)).all()
+    chunk = heads.jitted(best_of_n.chunk)(params, typed, observation, golden["noise"], {})
+    np.testing.assert_allclose(chunk, golden["chunk"], atol=2e-6)
+
+
+def test_critic_that_tells_nothing_apart_gives_no_policy_file():
+    config = heads.best_of_n([("gaussian", heads.gaussian(), 3)])
+    typed, params = heads.network("best_of_n", config, 7, 2)
+    for member in params["critic"]:
+        member["layers"][-1]["weight"][:] = 0.0
+    ones = np.ones(7, np.float32)
+    with pytest.raises(PolicyFileError, match="Only 0 of 8 golden examples have a clear winner"):
+        golden_examples("best_of_n", typed, params, 2, ones, ones, np.random.default_rng(0))
+
+
+def test_bfloat16_file_holds_what_its_golden_examples_computed(tmp_path):
+    _, params = written(tmp_path / "p", "act", SEEING, bfloat16=True)
+    tensors, _ = read_safetensors(tmp_path / "p")
+    narrow = {name for name, array in tensors.items() if array.dtype == ml_dtypes.bfloat16}
+    named = named_arrays(params, "actor")
+    assert narrow == {name for name, array in named.items() if name.endswith(".weight") and array.ndim == 2}
+    for name in narrow:
+        np.testing.assert_array_equal(tensors[name].astype(np.float32), named[name])
+    assert {tensors[name].dtype for name in named.keys() - narrow} == {np.dtype(np.float32)}
+    with safe_open(str(tmp_path / "p"), "np") as file:
+        assert file.get_slice("actor.action.weight").get_dtype() == "BF16"
+        assert file.get_slice("golden.image.top").get_dtype() == "U8"
+
+
+def test_rounding_changes_matrices_a_little_and_nothing_else():
+    _, params = heads.network("act", SEEING, 7, 2)
+    before, after = named_arrays(params), named_arrays(rounded(params))
+    assert list(before) == list(after)
+    for name, array in before.items():
+        difference = np.abs(after[name] - array).max() / np.abs(array).max()
+        assert (0 < difference < 2**-8) == (name.endswith(".weight") and array.ndim == 2), name
+
+
+def test_number_that_is_not_finite_is_refused_wherever_it_stands(tmp_path):
+    noise = np.zeros((8, 5), np.float32)
+    noise[3, 2] = np.inf
+    with pytest.raises(PolicyFileError, match=r"golden.noise holds a number that is not finite"):
+        written(tmp_path / "p", "act", SEEING, noise=noise)
+    assert not (tmp_path / "p").exists()

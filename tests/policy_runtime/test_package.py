@@ -45,11 +45,10 @@ def test_example_finds_the_installed_library_and_runs_a_policy(tmp_path: Path) -
     write_policy(
         tmp_path / "policy.safetensors",
         HEADER,
-        [{"weight": weight, "bias": np.zeros(2, np.float32)}],
+        {"layers": [{"weight": weight, "bias": np.zeros(2, np.float32)}]},
         mean=np.zeros(2, np.float32),
         scale=np.ones(2, np.float32),
-        golden_observation=observation,
-        golden_chunk=np.tanh(observation @ weight.T)[:, :, None],
+        golden={"observation": observation, "chunk": np.tanh(observation @ weight.T)[:, :, None]},
     )
     lines = sh(tmp_path / "build" / "run_policy", tmp_path / "policy.safetensors", "1", "2").split()
     np.testing.assert_allclose(np.array(lines, float), np.tanh([0.5, -0.5]), atol=1e-6)

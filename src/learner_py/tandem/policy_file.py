@@ -1,8 +1,9 @@
-"""The policy file: an actor with its normaliser and golden examples in one safetensors file (float32, little endian).
+"""The policy file: a policy with its normaliser and golden examples in one safetensors file (little endian).
 
-Tensors   actor.layers.{i}.weight (out, in), .bias (out), hidden layers optionally .norm_scale / .norm_offset (out);
-          normalizer.mean / .scale (O), x = (obs - mean) * scale; golden.observation (N, O) raw, golden.chunk (N, h, A).
-Network   x -> hidden layers (dense, optional LayerNorm, activation) -> dense (h A) -> tanh -> reshape (h, A).
+Network   one tensor for each array of the network's parameters; the name is the path to it: "actor.layers.0.weight".
+          The networks and their configs: `tandem.learner.networks`. float32; matrices may be bfloat16.
+Others    normalizer.mean / .scale (O): x = (observation - mean) * scale; golden.observation (N, O) raw,
+          golden.chunk (N, h, A), golden.noise (N, noise_size) and golden.image.{camera} (N, H, W, 3) uint8 where used.
 Metadata  strings; see `PolicyHeader`.
 
 Files are written whole (temporary file, fsync, rename) and byte for byte the same for the same policy.
@@ -14,18 +15,26 @@ import hashlib
 import json
 import os
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import ml_dtypes
 import numpy as np
 from numpy.typing import NDArray
 
 FORMAT = "tandem-policy-1"
 Array = NDArray[Any]
 
-_DTYPES = {"F32": np.dtype("<f4"), "I32": np.dtype("<i4"), "U32": np.dtype("<u4")}
+BFLOAT16 = np.dtype(ml_dtypes.bfloat16)
+_DTYPES = {
+    "F32": np.dtype("<f4"),
+    "BF16": BFLOAT16,
+    "I32": np.dtype("<i4"),
+    "U32": np.dtype("<u4"),
+    "U8": np.dtype("u1"),
+}
 _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
 _MAX_HEADER_BYTES = 16 << 20
 
@@ -38,9 +47,9 @@ class PolicyFileError(Exception):
 class PolicyHeader:
     """The facts in a policy file's metadata."""
 
-    config: dict[str, Any]  # hidden, activation, layer_norm, horizon, output
+    config: dict[str, Any]  # the network's structure: JSON of a head's Config
     observation: list[str]  # names, in order
-    action: list[str]  # active axes, in wire order
+    action: list[str]  # active axes, in wire order (or joints, in a policy that is not for our controller)
     task: str
     method: str
     execution: dict[str, Any]  # method.execution of the scenario
@@ -92,28 +101,70 @@ class WrittenFile:
 def write_policy(
     path: Path,
     header: PolicyHeader,
-    layers: Sequence[Mapping[str, Array]],
+    params: Any,
     mean: Array,
     scale: Array,
-    golden_observation: Array,
-    golden_chunk: Array,
+    golden: Mapping[str, Array],
+    bfloat16: bool = False,
 ) -> WrittenFile:
-    """layers: in order, the last one is the output; keys weight (out, in), bias, optionally norm_scale, norm_offset.
-    Raises PolicyFileError rather than writing a number that is not finite: such a policy must not reach the arm."""
-    tensors: dict[str, Array] = {
-        f"actor.layers.{index}.{name}": array
-        for index, layer in enumerate(layers)
-        for name, array in layer.items()
-    }
+    """Writes the network `params` of the architecture that the header names.
+
+    golden: observation (N, O), chunk (N, h, A), and where used noise and image.{camera}.
+    bfloat16: store the network's matrices so; the golden chunks must then be those of `rounded(params)`.
+    Raises PolicyFileError rather than writing a number that is not finite: such a policy must not reach the arm.
+    """
+    # the parts of a best of N have names of their own: actor.0, edit, critic.0
+    tensors = named_arrays(params, "" if header.architecture == "best_of_n" else "actor")
+    matrices = {name for name, array in tensors.items() if _is_matrix(name, array)}
     tensors |= {"normalizer.mean": mean, "normalizer.scale": scale}
-    tensors |= {"golden.observation": golden_observation, "golden.chunk": golden_chunk}
+    tensors |= {f"golden.{name}": array for name, array in golden.items()}
     for name, array in tensors.items():
-        if not np.isfinite(array).all():
+        array = np.asarray(array)
+        if name.startswith("golden.image."):
+            tensors[name] = array.astype(np.uint8, casting="no")
+            continue
+        tensors[name] = array.astype(BFLOAT16 if bfloat16 and name in matrices else np.float32)
+        if not np.isfinite(tensors[name]).all():
             raise PolicyFileError(
                 f"{path}: {name} holds a number that is not finite; the training has diverged."
             )
-        tensors[name] = np.asarray(array, np.float32)
     return write_file(path, encode_safetensors(tensors, header.to_metadata()))
+
+
+def named_arrays(tree: Any, name: str = "") -> dict[str, Array]:
+    """The arrays in dicts and lists, named by their path: {"layers": [{"bias": b}]} -> {"layers.0.bias": b}.
+
+    This gives the tensors of the policy file their names.
+    """
+    if isinstance(tree, Mapping):
+        parts = list(tree.items())
+    elif isinstance(tree, list | tuple):
+        parts = list(enumerate(tree))
+    else:
+        return {name: tree}
+    named: dict[str, Array] = {}
+    for key, part in parts:
+        named |= named_arrays(part, f"{name}.{key}" if name else str(key))
+    return named
+
+
+def rounded(params: Any) -> Any:
+    """The same network in float32 with its matrices rounded to bfloat16: what a bfloat16 file computes."""
+
+    def visit(tree: Any, key: str) -> Any:
+        if isinstance(tree, Mapping):
+            return {name: visit(part, name) for name, part in tree.items()}
+        if isinstance(tree, list | tuple):
+            return [visit(part, key) for part in tree]
+        array = np.asarray(tree)
+        return array.astype(BFLOAT16).astype(np.float32) if _is_matrix(key, array) else array
+
+    return visit(params, "")
+
+
+def _is_matrix(name: str, array: Array) -> bool:
+    """Dense weights; convolutions stay float32, their batch norms are folded into them when they are loaded."""
+    return name.rpartition(".")[2] == "weight" and array.ndim == 2
 
 
 def read_header(path: Path) -> PolicyHeader:

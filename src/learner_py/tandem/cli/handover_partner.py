@@ -106,11 +106,10 @@ def write_policies(folder: Path, scenario: dict[str, Any], n: int) -> list[polic
         written = policy_file.write_policy(
             folder / f"policy_{version:05d}.safetensors",
             policy_file.PolicyHeader(version=version, updates=version, **facts),
-            [*layers, {"weight": last, "bias": bias}],
+            {"layers": [*layers, {"weight": last, "bias": bias}]},
             np.zeros(n_in),
             np.ones(n_in),
-            golden,
-            chunk,
+            {"observation": golden, "chunk": chunk},
         )
         message = policy_announce_t()
         message.version, message.updates, message.episodes_trained_through = version, version, -1

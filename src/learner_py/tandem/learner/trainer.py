@@ -24,6 +24,7 @@ from tandem.learner.checkpoint import Position
 from tandem.learner.config import LearnerScenario
 from tandem.learner.episode import Episode, Floats
 from tandem.learner.method import LearnerState, Method
+from tandem.learner.networks import mlp
 from tandem.learner.normalizer import Normalizer
 from tandem.learner.update import make_update
 from tandem.policy_file import PolicyHeader, WrittenFile, write_policy
@@ -200,14 +201,14 @@ class Trainer:
         assert self.normalizer is not None, "there is no policy before the warm start"
         config = self.scenario.method
         head = config.learner.head
+        network = mlp.Config(
+            hidden=tuple(head.hidden),
+            activation=head.activation,
+            layer_norm=head.layer_norm,
+            horizon=config.horizon,
+        )
         header = PolicyHeader(
-            config={
-                "hidden": list(head.hidden),
-                "activation": head.activation,
-                "layer_norm": head.layer_norm,
-                "horizon": config.horizon,
-                "output": "tanh",
-            },
+            config=network.model_dump(mode="json"),
             observation=list(self.scenario.task.observation),
             action=list(self.scenario.task.action_axes),
             task=self.scenario.task.name,
@@ -220,13 +221,10 @@ class Trainer:
             episodes_trained_through=self.position.episodes_trained_through,
             git_revision=self.git_revision,
         )
-        golden = self._golden_observations()
-        layers = [
-            {name: np.asarray(array) for name, array in layer.items()} for layer in self.state.actor_average
-        ]
-        return write_policy(
-            path, header, layers, self.normalizer.mean, self.normalizer.scale, golden, self.act(golden)
-        )
+        observation = self._golden_observations()
+        golden = {"observation": observation, "chunk": self.act(observation)}
+        params = {"layers": self.state.actor_average}
+        return write_policy(path, header, params, self.normalizer.mean, self.normalizer.scale, golden)
 
     def _golden_observations(self) -> Floats:
         """(N, O) raw: some that were really seen, and random ones.

@@ -26,7 +26,7 @@ Width = Annotated[int, Field(ge=1, le=4096)]
 Hidden = Annotated[
     tuple[Width, ...], Field(max_length=8, strict=False)
 ]  # sizes of hidden layers; JSON has lists
-Horizon = Annotated[int, Field(ge=1, le=1024)]
+Horizon = Annotated[int, Field(ge=1, le=256)]
 LogStd = Annotated[float, Field(ge=-20, le=5)]
 
 
