@@ -213,6 +213,10 @@ def read_safetensors(path: Path) -> tuple[dict[str, Array], dict[str, str]]:
     tensors = {}
     try:
         for name, entry in entries.items():
+            if entry["dtype"] not in _DTYPES:
+                raise PolicyFileError(
+                    f"{path}: {name} is {entry['dtype']}; known are {', '.join(_DTYPES)}. Save it as F32."
+                )
             begin, end = entry["data_offsets"]
             tensors[name] = (
                 np.frombuffer(data[begin:end], _DTYPES[entry["dtype"]]).reshape(entry["shape"]).copy()
