@@ -27,6 +27,9 @@ COMMANDS = [
     "log",
     "log info",
     "log compare",
+    "policy info",
+    "policy run",
+    "policy convert",
 ]
 
 

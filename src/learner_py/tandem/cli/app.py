@@ -6,7 +6,7 @@ import sys
 import typer
 
 from tandem import __version__
-from tandem.cli import bench, command, demo, doctor, evaluate, log, replay, table, teleop, test, train
+from tandem.cli import bench, command, demo, doctor, evaluate, log, policy, replay, table, teleop, test, train
 
 app = typer.Typer(
     name="tandem",
@@ -43,6 +43,7 @@ app.command("table")(table.table)
 app.command("replay")(replay.replay)
 app.command("teleop")(teleop.teleop)
 app.add_typer(command.app, name="command")
+app.add_typer(policy.app, name="policy")
 app.command("doctor")(doctor.doctor)
 app.add_typer(log.app, name="log")
 
