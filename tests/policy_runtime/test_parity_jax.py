@@ -1,158 +1,262 @@
-"""The C++ runtime computes what JAX computes: random networks, both sides, at most 1e-5 apart."""
+"""The C++ runtime computes what the learner's own networks compute in JAX: at most 1e-5 apart, whatever their sizes."""
 
 from __future__ import annotations
 
-import itertools
-import json
-import os
-import subprocess
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
+import heads
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save_file
+import runtime
+
+from tandem.learner.golden import golden_examples, policy_chunk
+from tandem.learner.noise import seeded_noise
+from tandem.policy_file import rounded, write_policy
 
 TOLERANCE = 1e-5  # action units
-BIN = Path(os.environ.get("TANDEM_BIN", Path(__file__).resolve().parents[2] / "build" / "bin"))
-AXES = ["x", "y", "z", "rx", "ry", "rz", "gripper"]
-ACTIVATIONS = {"relu": jax.nn.relu, "tanh": jnp.tanh, "gelu": jax.nn.gelu}
+BFLOAT16_TOLERANCE = 1e-2  # of the largest action, against the network before its weights were rounded
+KERNELS = ["", "scalar"]  # the best of this machine, and the reference
 
-Tensors = dict[str, np.ndarray]
+Json = dict[str, Any]
 
-# observation, hidden, axes, horizon, activation, layer norm
-NETWORKS = [
-    (1, [], 1, 1, "relu", False),
-    (26, [256, 256], 4, 1, "relu", False),
-    (26, [256, 256], 4, 1, "relu", True),
-    (13, [1, 33], 3, 2, "tanh", False),
-    (31, [17], 5, 3, "gelu", False),
-    (40, [256, 256, 256], 7, 8, "gelu", True),
-    (19, [127, 65, 7], 2, 7, "tanh", True),
-    (64, [63, 100], 6, 4, "relu", True),
-    (3, [300, 5], 7, 5, "gelu", True),
+
+def tokens(*sizes: int) -> list[Json]:
+    return [{"name": f"token_{i}", "size": size} for i, size in enumerate(sizes)]
+
+
+def mlp(hidden: list[int], horizon: int, activation: str, layer_norm: bool) -> Json:
+    return heads.mlp(hidden=hidden, horizon=horizon, activation=activation, layer_norm=layer_norm)
+
+
+CAMERAS = [{"name": "top", "height": 24, "width": 31}, {"name": "wrist", "height": 17, "width": 16}]
+CNN = {
+    "kind": "cnn",
+    "layers": [
+        {"channels": 9, "kernel": 5, "stride": 3},
+        {"channels": 17, "kernel": 3, "stride": 1},
+        {"channels": 5, "kernel": 1, "stride": 2},
+        {"channels": 31, "kernel": 3, "stride": 2},
+    ],
+}
+LARGER = [{"name": "front", "height": 47, "width": 65}]
+RESNET_8, RESNET_64 = ({"kind": "resnet18", "width": width} for width in (8, 64))
+# sizes that fill no vector of any machine, and some that do
+SMALL = {
+    "model_size": 15,
+    "heads": 5,
+    "feedforward": 7,
+    "encoder_layers": 1,
+    "decoder_layers": 1,
+    "horizon": 1,
+}
+MIDDLE = {
+    "model_size": 36,
+    "heads": 3,
+    "feedforward": 65,
+    "encoder_layers": 2,
+    "decoder_layers": 2,
+    "horizon": 9,
+}
+LARGE = {
+    "model_size": 64,
+    "heads": 4,
+    "feedforward": 129,
+    "encoder_layers": 3,
+    "decoder_layers": 1,
+    "horizon": 33,
+}
+
+# name: architecture, config, observation, axes
+NETWORKS: dict[str, tuple[str, Json, int, int]] = {
+    "mlp of one layer": ("mlp", mlp([], 1, "relu", False), 1, 1),
+    "mlp 256": ("mlp", mlp([256, 256], 1, "relu", False), 26, 4),
+    "mlp 256 normalised": ("mlp", mlp([256, 256], 1, "relu", True), 26, 4),
+    "mlp 1 33": ("mlp", mlp([1, 33], 2, "tanh", False), 13, 3),
+    "mlp 17": ("mlp", mlp([17], 3, "gelu", False), 31, 5),
+    "mlp 256 three times": ("mlp", mlp([256, 256, 256], 8, "gelu", True), 40, 7),
+    "mlp 127 65 7": ("mlp", mlp([127, 65, 7], 7, "tanh", True), 19, 2),
+    "mlp 63 100": ("mlp", mlp([63, 100], 4, "relu", True), 64, 6),
+    "mlp 300 5": ("mlp", mlp([300, 5], 5, "gelu", True), 3, 7),
+    "gaussian of one layer": ("gaussian", heads.gaussian(hidden=[], layer_norm=False, horizon=1), 5, 1),
+    "gaussian 33": ("gaussian", heads.gaussian(hidden=[33, 15], activation="tanh", horizon=4), 17, 3),
+    "gaussian bounded": ("gaussian", heads.gaussian(log_std_min=-0.5, log_std_max=-0.25, horizon=2), 9, 7),
+    "flow of one step": ("flow", heads.flow(hidden=[1], layer_norm=False, steps=1, time_features=2, horizon=1), 1, 1),
+    "flow 65": ("flow", heads.flow(hidden=[65, 31], activation="tanh", steps=7, time_features=10, horizon=5), 23, 3),
+    "flow 128": ("flow", heads.flow(hidden=[128, 128], activation="relu", steps=8, time_features=16, horizon=4), 40, 7),
+    "flow attends, small": (
+        "flow",
+        heads.flow_transformer(**SMALL, steps=1, time_features=2, tokens=tokens(3)),
+        3,
+        1,
+    ),
+    "flow attends": (
+        "flow",
+        heads.flow_transformer(**MIDDLE, steps=5, time_features=6, activation="gelu", tokens=tokens(1, 17, 5)),
+        23,
+        7,
+    ),
+    "act small": ("act", heads.act(**SMALL, tokens=tokens(3), latent_size=1), 3, 1),
+    "act middle": (
+        "act",
+        heads.act(**MIDDLE, tokens=tokens(14, 1, 18), activation="gelu", output="tanh", latent_size=5),
+        33,
+        7,
+    ),
+    "act large, draws": ("act", heads.act(**LARGE, tokens=tokens(40), sample_latent=True, latent_size=32), 40, 14),
+    "act sees": ("act", heads.act(**MIDDLE, tokens=tokens(6), cameras=CAMERAS, backbone=CNN), 6, 4),
+    "act sees, resnet 8": (
+        "act",
+        heads.act(**SMALL | {"model_size": 20}, tokens=tokens(6), cameras=LARGER, backbone=RESNET_8),
+        6,
+        4,
+    ),
+    "act sees, resnet 64": (
+        "act",
+        heads.act(**SMALL | {"model_size": 20}, tokens=tokens(6), cameras=CAMERAS[:1], backbone=RESNET_64),
+        6,
+        4,
+    ),
+    "best of 9 gaussians": (
+        "best_of_n",
+        heads.best_of_n([("gaussian", heads.gaussian(), 9)], edit=False, members=1),
+        7,
+        3,
+    ),
+    "best of 8 flows, edited": (
+        "best_of_n",
+        heads.best_of_n([("flow", heads.flow(), 8)], members=5, hidden=[33, 17], aggregate="min"),
+        26,
+        7,
+    ),
+    "best of all kinds": (
+        "best_of_n",
+        heads.best_of_n(
+            [
+                ("mlp", heads.mlp(), 1),
+                ("flow", heads.flow_transformer(tokens=tokens(3, 4), decoder_layers=1), 2),
+                ("gaussian", heads.gaussian(), 3),
+                ("act", heads.act(tokens=tokens(7), sample_latent=True, output="tanh", encoder_layers=1), 2),
+            ],
+            members=2,
+            activation="gelu",
+            layer_norm=False,
+        ),
+        7,
+        2,
+    ),
+}  # fmt: skip
+BFLOAT16 = [
+    "mlp 127 65 7",
+    "gaussian 33",
+    "flow 65",
+    "flow attends",
+    "act middle",
+    "act sees",
+    "best of 8 flows, edited",
 ]
 
 
-def random_network(seed: int, o: int, hidden: list[int], out: int, layer_norm: bool) -> Tensors:
-    """Non-trivial in every tensor: an untrained or zero network would agree by chance."""
-    rng = np.random.default_rng(seed)
-    tensors: Tensors = {}
-    sizes = [o, *hidden, out]
-    for i, (n_in, n_out) in enumerate(itertools.pairwise(sizes)):
-        tensors[f"actor.layers.{i}.weight"] = rng.normal(0.0, 1.0 / np.sqrt(n_in), (n_out, n_in))
-        tensors[f"actor.layers.{i}.bias"] = rng.normal(0.0, 0.3, n_out)
-        if layer_norm and i < len(hidden):
-            tensors[f"actor.layers.{i}.norm_scale"] = rng.normal(1.0, 0.2, n_out)
-            tensors[f"actor.layers.{i}.norm_offset"] = rng.normal(0.0, 0.2, n_out)
-    tensors["normalizer.mean"] = rng.normal(0.0, 1.0, o)
-    tensors["normalizer.scale"] = rng.uniform(0.3, 3.0, o)
-    return {name: value.astype(np.float32) for name, value in tensors.items()}
+@dataclass(frozen=True)
+class Written:
+    """A policy file, and what JAX computes for new inputs."""
+
+    file: Path
+    architecture: str
+    config: Any
+    params: Any  # as written: rounded, where the file holds bfloat16
+    exact: Any  # before
+    mean: np.ndarray
+    scale: np.ndarray
+    fresh: dict[str, np.ndarray]  # observation, noise, image.CAMERA, chunk
+
+    @property
+    def inputs(self) -> dict[str, np.ndarray]:
+        return {name: array for name, array in self.fresh.items() if name != "chunk"}
+
+    def chunk(self, params: Any, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Chunks of the fresh inputs by other parameters or noise, and which have a clear winner."""
+        images = {name[6:]: array for name, array in self.fresh.items() if name.startswith("image.")}
+        norm = self.mean, self.scale
+        both = policy_chunk(
+            self.architecture, self.config, params, *norm, self.fresh["observation"], noise, images
+        )
+        return np.asarray(both[0]), np.asarray(both[1])
 
 
-def forward(tensors: Tensors, obs: jax.Array, activation: str, h: int) -> jax.Array:
-    """obs (N, O), raw -> chunk (N, h, A)."""
-    x = (obs - tensors["normalizer.mean"]) * tensors["normalizer.scale"]
-    last = sum(name.endswith(".weight") for name in tensors) - 1
-    for i in range(last + 1):
-        prefix = f"actor.layers.{i}"
-        x = x @ tensors[f"{prefix}.weight"].T + tensors[f"{prefix}.bias"]
-        if f"{prefix}.norm_scale" in tensors:
-            mean = x.mean(-1, keepdims=True)
-            variance = ((x - mean) ** 2).mean(-1, keepdims=True)
-            x = (x - mean) / jnp.sqrt(variance + 1e-6)
-            x = x * tensors[f"{prefix}.norm_scale"] + tensors[f"{prefix}.norm_offset"]
-        x = jnp.tanh(x) if i == last else ACTIVATIONS[activation](x)
-    return x.reshape(len(obs), h, -1)
+def write(folder: Path, name: str, bfloat16: bool = False) -> Written:
+    architecture, config, n_observation, n_axes = NETWORKS[name]
+    typed, exact = heads.network(architecture, config, n_observation, n_axes)
+    params = rounded(exact) if bfloat16 else exact
+    generator = np.random.default_rng(7)
+    mean = generator.normal(0.0, 1.0, n_observation).astype(np.float32)
+    scale = generator.uniform(0.3, 3.0, n_observation).astype(np.float32)
+    network = (architecture, typed, params, n_axes, mean, scale)
+    golden, fresh = (golden_examples(*network, np.random.default_rng(seed)) for seed in (0, 1))
+    header = runtime.header(architecture, config, n_observation, n_axes)
+    write_policy(folder / "policy.safetensors", header, params, mean, scale, golden, bfloat16)
+    return Written(folder / "policy.safetensors", architecture, typed, params, exact, mean, scale, fresh)
 
 
-def write_policy(path: Path, tensors: Tensors, config: dict[str, Any], o: int, axes: list[str]) -> None:
-    metadata = {
-        "format": "tandem-policy-1",
-        "architecture": "mlp",
-        "config": json.dumps(config),
-        "observation": json.dumps([f"observation_{i}" for i in range(o)]),
-        "action": json.dumps(axes),
-        "task": "peg",
-        "method": "tandem",
-        "execution": json.dumps({"mode": "receding", "execute": 1}),
-        "discount": "0.98",
-        "version": "1",
-        "env_steps": "0",
-        "updates": "0",
-        "episodes_trained_through": "0",
-        "git_revision": "test",
-    }
-    save_file(tensors, path, metadata=metadata)
+@pytest.fixture(scope="module", params=NETWORKS)
+def written(request: Any, tmp_path_factory: pytest.TempPathFactory) -> Written:
+    return write(tmp_path_factory.mktemp("policy"), request.param)
 
 
-def run(*arguments: str | Path, kernel: str = "") -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [BIN / "tandem_policy", *arguments],
-        env=os.environ | {"TANDEM_KERNEL": kernel},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
+@pytest.fixture(scope="module", params=BFLOAT16)
+def narrow(request: Any, tmp_path_factory: pytest.TempPathFactory) -> Written:
+    return write(tmp_path_factory.mktemp("policy"), request.param, bfloat16=True)
 
 
-@pytest.mark.parametrize("kernel", ["simd", "scalar"])
-@pytest.mark.parametrize("network", NETWORKS, ids=str)
-def test_chunks_agree_with_jax(tmp_path: Path, network: tuple[Any, ...], kernel: str) -> None:
-    o, hidden, n_axes, h, activation, layer_norm = network
-    axes = AXES[:n_axes]
-    tensors = random_network(hash((o, h, n_axes)) % 2**32, o, hidden, h * n_axes, layer_norm)
-    rng = np.random.default_rng(7)
-    golden = rng.normal(0.0, 1.5, (8, o)).astype(np.float32)
-    fresh = rng.normal(0.0, 1.5, (64, o)).astype(np.float32)
-    file = {
-        **tensors,
-        "golden.observation": golden,
-        "golden.chunk": np.array(forward(tensors, jnp.asarray(golden), activation, h)),
-    }
-    config = {
-        "hidden": hidden,
-        "activation": activation,
-        "layer_norm": layer_norm,
-        "horizon": h,
-        "output": "tanh",
-    }
-    policy = tmp_path / "policy.safetensors"
-    write_policy(policy, file, config, o, axes)
-
-    save_file({"observation": fresh}, tmp_path / "in.safetensors")
-    paths: list[str | Path] = [
-        "--input",
-        tmp_path / "in.safetensors",
-        "--output",
-        tmp_path / "out.safetensors",
-    ]
-    result = run("run", policy, *paths, kernel=kernel)
-    assert result.returncode == 0, result.stderr
-    ours = load_file(tmp_path / "out.safetensors")["chunk"]
-
-    theirs = np.array(forward(tensors, jnp.asarray(fresh), activation, h))
-    assert ours.shape == theirs.shape == (64, h, n_axes)
+def check(written: Written, kernel: str) -> np.ndarray:
+    ours = runtime.run(written.file, written.inputs, kernel)
+    theirs = written.fresh["chunk"]
+    assert ours.shape == theirs.shape
     assert np.abs(theirs).max() > 0.1, "the network is too tame to test anything"
     np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=TOLERANCE)
+    return ours
 
-    info = json.loads(run("info", policy, "--json", kernel=kernel).stdout)
-    assert info["golden_error"] <= TOLERANCE
-    assert info["action"] == axes and info["horizon"] == h
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=["best", "scalar"])
+def test_chunks_agree_with_jax(written: Written, kernel: str) -> None:
+    check(written, kernel)
+    facts = runtime.info(written.file, kernel)
+    assert facts["golden_error"] <= TOLERANCE
+    assert facts["horizon"] == written.config.horizon and facts["architecture"] == written.architecture
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=["best", "scalar"])
+def test_chunks_of_bfloat16_weights_agree_with_jax(narrow: Written, kernel: str) -> None:
+    ours = check(narrow, kernel)
+    if narrow.architecture == "best_of_n":
+        return  # rounding may choose another winner
+    noise = narrow.fresh.get("noise", np.zeros((len(ours), 0), np.float32))
+    exact, _ = narrow.chunk(narrow.exact, noise)
+    error = np.abs(ours - exact).max()
+    assert 0.0 < error <= BFLOAT16_TOLERANCE * np.abs(exact).max()
+
+
+def test_sampler_draws_what_the_learner_draws(written: Written) -> None:
+    """Without noise in the input, row n takes the noise of seed n."""
+    if "noise" not in written.fresh:
+        return
+    noise = np.stack([seeded_noise(row, array.size) for row, array in enumerate(written.fresh["noise"])])
+    theirs, clear = written.chunk(written.params, noise)
+    assert clear.sum() >= 4 and np.abs(theirs - written.fresh["chunk"]).max() > 1e-3
+    inputs = {name: array for name, array in written.inputs.items() if name != "noise"}
+    ours = runtime.run(written.file, inputs)
+    np.testing.assert_allclose(ours[clear], theirs[clear], rtol=0.0, atol=TOLERANCE)
 
 
 def test_a_wrong_golden_example_is_refused_with_a_sentence(tmp_path: Path) -> None:
-    tensors = random_network(1, 5, [8], 2, False)
-    golden = np.ones((8, 5), np.float32)
-    chunk = np.array(forward(tensors, jnp.asarray(golden), "relu", 1))
-    file = {**tensors, "golden.observation": golden, "golden.chunk": chunk + np.float32(1e-3)}
-    config = {"hidden": [8], "activation": "relu", "layer_norm": False, "horizon": 1, "output": "tanh"}
+    typed, params = heads.network("mlp", heads.mlp(), 5, 2)
+    zeros, ones = np.zeros(5, np.float32), np.ones(5, np.float32)
+    golden = golden_examples("mlp", typed, params, 2, zeros, ones, np.random.default_rng(0))
+    golden["chunk"] = golden["chunk"] + np.float32(1e-3)
     policy = tmp_path / "policy.safetensors"
-    write_policy(policy, file, config, 5, ["x", "y"])
-    result = run("info", policy)
+    write_policy(policy, runtime.header("mlp", heads.mlp(), 5, 2), params, zeros, ones, golden)
+    result = runtime.program("info", policy)
     assert result.returncode == 2
     assert "golden examples differ by 0.001" in result.stderr
     assert str(policy) in result.stderr
