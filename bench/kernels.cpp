@@ -44,8 +44,8 @@ double seconds(const std::function<void()>& call) {
 }
 
 void print(const std::string& what, double time, double flops, double bytes) {
-  std::printf("%-8s %-36s %10.2f us %8.1f GFLOP/s", kernel_name().c_str(), what.c_str(), 1e6 * time,
-              1e-9 * flops / time);
+  std::printf("%-8s %-36s %10.2f us", kernel_name().c_str(), what.c_str(), 1e6 * time);
+  if (flops > 0) std::printf(" %8.1f GFLOP/s", 1e-9 * flops / time);
   if (bytes > 0) std::printf(" %7.1f GB/s of weights", 1e-9 * bytes / time);
   std::printf("\n");
 }
