@@ -221,4 +221,29 @@ std::vector<double> FlowTransformerFormula::evaluate(const PolicyFile& file,
   return chunk;
 }
 
+void expect_same_samples(const Head& head, int observation_size) {
+  constexpr int kSamples = 3;
+  constexpr float kBehind = 123.0f;
+  std::mt19937 random(1);
+  const auto noise = random_numbers(kSamples * head.noise_size(), 1.0f, random);
+  const auto observation = random_numbers(observation_size, 1.0f, random);
+  const std::size_t stride = padded(head.chunk_size()), size = head.workspace_size(kSamples);
+  AlignedBuffer x(observation_size), together(kSamples * stride), alone(stride),
+      workspace(size + kPadding);
+  std::copy(observation.begin(), observation.end(), x.data());
+  std::fill_n(workspace.data(), size, std::nanf(""));
+  std::fill_n(workspace.data() + size, kPadding, kBehind);
+
+  head.forward({.x = x.data(), .noise = noise.data()}, kSamples, together.data(), workspace.data());
+  for (int sample = 0; sample < kSamples; ++sample) {
+    std::fill_n(workspace.data(), size, std::nanf(""));
+    head.forward({.x = x.data(), .noise = noise.data() + sample * head.noise_size()}, 1,
+                 alone.data(), workspace.data());
+    for (int i = 0; i < head.chunk_size(); ++i) {
+      ASSERT_EQ(together.data()[sample * stride + i], alone.data()[i]) << sample << " " << i;
+    }
+  }
+  for (int i = 0; i < kPadding; ++i) ASSERT_EQ(workspace.data()[size + i], kBehind);
+}
+
 }  // namespace tandem::policy::testing

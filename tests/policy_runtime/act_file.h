@@ -58,4 +58,8 @@ class FlowTransformerFormula : public HeadFormula {
                                const std::vector<double>& x, const float* noise) const override;
 };
 
+/// Three samples at once, as best of N asks for them, and one after the other: expects the same
+/// bits, from a workspace exactly as large as promised and dirty.
+void expect_same_samples(const Head& head, int observation_size);
+
 }  // namespace tandem::policy::testing

@@ -291,6 +291,7 @@ void expect_real_time_and_repeatable(const PolicyFile& file, const HeadFormula& 
   EXPECT_TRUE(usable);
   EXPECT_EQ(first, again) << "the same noise must give the same bits, whatever came between";
   EXPECT_EQ(seeded, reseeded) << "the same seed must give the same bits";
+  if (head.noise_size() == 0) return;
   EXPECT_NE(seeded, other) << "another seed must give another chunk";
 }
 

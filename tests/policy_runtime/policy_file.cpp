@@ -16,6 +16,11 @@ namespace {
 
 using Json = nlohmann::json;
 
+// Of bfloat16, the upper bytes of a float are kept.
+std::size_t bytes_of_a_number(const Tensor& tensor) {
+  return tensor.dtype == "U8" ? 1 : tensor.dtype == "BF16" ? 2 : 4;
+}
+
 double apply(const std::string& activation, double x) {
   if (activation == "relu") return x > 0 ? x : 0;
   if (activation == "tanh") return std::tanh(x);
@@ -37,7 +42,7 @@ std::string PolicyFile::header() const {
   Json json = {{"__metadata__", metadata}};
   std::int64_t begin = 0;
   for (const auto& [name, tensor] : tensors) {
-    const std::int64_t end = begin + tensor.values.size() * (tensor.dtype == "BF16" ? 2 : 4);
+    const std::int64_t end = begin + tensor.values.size() * bytes_of_a_number(tensor);
     json[name] = {{"dtype", tensor.dtype}, {"shape", tensor.shape}, {"data_offsets", {begin, end}}};
     begin = end;
   }
@@ -47,8 +52,12 @@ std::string PolicyFile::header() const {
 std::string PolicyFile::data() const {
   std::string bytes;
   for (const auto& [name, tensor] : tensors) {
-    const std::size_t kept = tensor.dtype == "BF16" ? 2 : 4;  // the upper bytes of a float
+    const std::size_t kept = bytes_of_a_number(tensor);
     for (const float& value : tensor.values) {
+      if (tensor.dtype == "U8") {
+        bytes.push_back(static_cast<char>(static_cast<unsigned char>(value)));
+        continue;
+      }
       bytes.append(reinterpret_cast<const char*>(&value) + sizeof value - kept, kept);
     }
   }

@@ -15,7 +15,7 @@ namespace tandem::policy::testing {
 struct Tensor {
   std::vector<std::int64_t> shape;
   std::vector<float> values;
-  std::string dtype = "F32";  ///< BF16 cuts the lower halves of the values off
+  std::string dtype = "F32";  ///< BF16 cuts the lower halves of the values off, U8 takes 0..255
 };
 
 struct PolicyFile {

@@ -1,17 +1,30 @@
 #include "policy_runtime/policies/flow.h"
 
 #include <algorithm>
+#include <cmath>
+#include <numbers>
 #include <utility>
 
 #include "policy_runtime/policies/perceptron_field.h"
+#include "policy_runtime/policies/transformer_field.h"
 #include "policy_runtime/scratch.h"
 
 namespace tandem::policy {
 
+std::vector<double> time_features(int n, double t) {
+  std::vector<double> phi(n);
+  for (int i = 0; i < n / 2; ++i) {
+    const double angle = std::numbers::pi * (i + 1) * t;
+    phi[i] = std::cos(angle);
+    phi[n / 2 + i] = std::sin(angle);
+  }
+  return phi;
+}
+
 FlowHead::Config FlowHead::Config::read(ConfigReader& reader) {
   constexpr int kMaxSteps = 100, kMaxTimeFeatures = 256;
-  reader.choice("field", {"mlp"});
-  const Config config{reader.integer("horizon", 1, kMaxHorizon),
+  const Config config{reader.choice("field", {"mlp", "transformer"}) == 1,
+                      reader.integer("horizon", 1, kMaxHorizon),
                       reader.integer("steps", 1, kMaxSteps),
                       reader.integer("time_features", 2, kMaxTimeFeatures)};
   if (config.time_features % 2 != 0) {
@@ -35,12 +48,18 @@ std::unique_ptr<const VelocityField> FlowHead::load_field(SafetensorsFile& file,
                                                           ConfigReader& reader,
                                                           const Config& config,
                                                           const HeadSpec& spec) {
-  const Perceptron::Config perceptron = Perceptron::Config::read(reader);
-  reader.finish();
   std::vector<std::vector<double>> phi;
   for (int k = 0; k < config.steps; ++k) {
     phi.push_back(time_features(config.time_features, double(k) / config.steps));
   }
+  if (config.transformer) {
+    const auto field = TransformerField::Config::read(reader, spec.observation_size);
+    reader.finish();
+    return std::make_unique<TransformerField>(file, spec.prefix, field, config.horizon,
+                                              spec.action_size, phi);
+  }
+  const Perceptron::Config perceptron = Perceptron::Config::read(reader);
+  reader.finish();
   return std::make_unique<PerceptronField>(file, spec.prefix, perceptron, spec.observation_size,
                                            config.horizon * spec.action_size, std::move(phi));
 }

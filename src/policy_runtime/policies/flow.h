@@ -11,8 +11,8 @@ namespace tandem::policy {
 ///
 ///   a_0 = noise,  a_{k+1} = a_k + v(x, a_k, k / K) / K,  chunk = clip(a_K, -1, 1)
 ///
-/// Config: field ("mlp"), horizon, steps (K), time_features, output ("clip") and what the field
-/// needs: hidden, activation, layer_norm.
+/// Config: field ("mlp" or "transformer"), horizon, steps (K), time_features, output ("clip") and
+/// what the field needs, see PerceptronField and TransformerField.
 class FlowHead final : public Head {
  public:
   FlowHead(SafetensorsFile& file, ConfigReader config, const HeadSpec& spec);
@@ -24,6 +24,7 @@ class FlowHead final : public Head {
 
  private:
   struct Config {
+    bool transformer = false;  // the field; else an MLP
     int horizon = 1;
     int steps = 1;
     int time_features = 2;

@@ -119,36 +119,14 @@ TEST(Act, NeitherAllocatesNorRemembersInForward) {
   }
 }
 
-// As best of N asks for them. The workspace is exactly as large as promised, and dirty.
 TEST(Act, MakesSeveralSamplesLikeOneAfterTheOther) {
-  constexpr int kSamples = 3;
-  constexpr float kBehind = 123.0f;
   for (const bool sample_latent : {false, true}) {
     const ActFormula formula(
         {.observation = 7, .horizon = 3},
         {.transformer = {.decoder_layers = 2}, .sample_latent = sample_latent});
     SafetensorsFile file(write_file(make_policy(formula)));
     const ActHead head(file, ConfigReader(formula.config(), "config"), {"actor", 7, 3});
-    std::mt19937 random(1);
-    const auto noise = random_numbers(kSamples * head.noise_size(), 1.0f, random);
-    const std::size_t stride = padded(head.chunk_size()), size = head.workspace_size(kSamples);
-    AlignedBuffer x(7), together(kSamples * stride), alone(stride), workspace(size + kPadding);
-    for (int i = 0; i < 7; ++i) x.data()[i] = float(i) / 7;
-    std::fill_n(workspace.data(), size, std::nanf(""));
-    std::fill_n(workspace.data() + size, kPadding, kBehind);
-
-    head.forward({.x = x.data(), .noise = noise.data()}, kSamples, together.data(),
-                 workspace.data());
-    for (int sample = 0; sample < kSamples; ++sample) {
-      std::fill_n(workspace.data(), size, std::nanf(""));
-      head.forward({.x = x.data(), .noise = noise.data() + sample * head.noise_size()}, 1,
-                   alone.data(), workspace.data());
-      for (std::size_t i = 0; i < stride; ++i) {
-        EXPECT_EQ(together.data()[sample * stride + i], alone.data()[i]) << sample << " " << i;
-      }
-    }
-    for (std::size_t i = head.chunk_size(); i < stride; ++i) EXPECT_EQ(alone.data()[i], 0.0f);
-    for (int i = 0; i < kPadding; ++i) EXPECT_EQ(workspace.data()[size + i], kBehind);
+    expect_same_samples(head, 7);
   }
 }
 

@@ -47,7 +47,8 @@ TEST(Flow, ClipsOnlyTheEndOfThePath) {
 TEST(Flow, RefusesAConfigOutOfRange) {
   const PolicyFile file = make_policy(FlowFormula(kSmall, {}));
   EXPECT_EQ(refused_config(file, "/steps", 4), "");
-  EXPECT_TRUE(says(refused_config(file, "/field", "unet"), "field is \"unet\"", "must be mlp"));
+  EXPECT_TRUE(says(refused_config(file, "/field", "unet"), "field is \"unet\"",
+                   "must be mlp or transformer"));
   EXPECT_TRUE(says(refused_config(file, "/steps", 0), "steps is \"0\"", "[1, 100]"));
   EXPECT_TRUE(says(refused_config(file, "/steps", 101), "steps is \"101\"", "[1, 100]"));
   EXPECT_TRUE(says(refused_config(file, "/time_features", 7), "7 time_features", "even"));
