@@ -4,6 +4,7 @@
 
 setup_dir=.setup
 extras_needed=no  # gym-hil: `bench sim` requires it, the videos of `train` and `demo` only look better with it
+peers_needed=no   # ONNX Runtime and OpenVINO, and the programs that stand beside them in `bench policy`
 
 say() { printf 'tandem: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
@@ -111,18 +112,26 @@ setup_venv() {
   write_stamp venv "$stamp"
 }
 
+# install_more NAME FILE WHAT: packages that few commands want, on first need.
+install_more() {
+  local stamp
+  stamp=$(stamp_of "$2" requirements.txt)
+  stamped "$1" "$stamp" && return 0
+  run_step "$1" "Installing $3 and what it needs" install_python "$2" || return 1
+  write_stamp "$1" "$stamp"
+}
+
 # gym-hil: a failure stops `bench sim`, and only costs videos their meshes.
 setup_extras() {
-  local stamp
-  stamp=$(stamp_of requirements-extras.txt requirements.txt)
-  stamped extras "$stamp" && return 0
-  if run_step extras "Installing gym-hil and what it needs" install_python requirements-extras.txt; then
-    write_stamp extras "$stamp"
-  elif [ "$extras_needed" = required ]; then
+  install_more extras requirements-extras.txt gym-hil && return 0
+  [ "$extras_needed" != required ] ||
     die "gym-hil did not install ($(tail -n 1 "$setup_dir/extras.log")). See $PWD/$setup_dir/extras.log; check the network and call again."
-  else
-    say "gym-hil did not install (see $PWD/$setup_dir/extras.log); the arm is drawn without its meshes."
-  fi
+  say "gym-hil did not install (see $PWD/$setup_dir/extras.log); the arm is drawn without its meshes."
+}
+
+setup_peers() {
+  install_more peers requirements-bench.txt "ONNX Runtime, OpenVINO" ||
+    die "ONNX Runtime and OpenVINO did not install ($(tail -n 1 "$setup_dir/peers.log")). See $PWD/$setup_dir/peers.log; check the network and call again."
 }
 
 configure() {
@@ -134,6 +143,7 @@ configure() {
 build_programs() {
   local log=$setup_dir/build.log start=$SECONDS target=() line shown=no
   grep -q '^build programs:' build/build.ninja && target=(programs lcm_types_python)
+  [ "$peers_needed" = no ] || [ ${#target[@]} -eq 0 ] || target+=(policy_contenders)
   : >"$log"
   # 9>&- keeps the lock from processes that outlive this call.
   NINJA_STATUS='[%f/%t] ' ninja -C build "${target[@]}" 2>&1 </dev/null 9>&- | while IFS= read -r line; do
@@ -184,10 +194,11 @@ setup_loopback() {
 setup_all() {
   case "${1:-} ${2:-}" in
     "bench sim") extras_needed=required ;;
+    "bench policy") peers_needed=yes ;;
     "train "* | "demo "*) extras_needed=wanted ;;
   esac
   for word in "$@"; do
-    case "$word" in --help | -h) extras_needed=no ;; esac
+    case "$word" in --help | -h) extras_needed=no peers_needed=no ;; esac
   done
 
   mkdir -p "$setup_dir"
@@ -200,6 +211,7 @@ setup_all() {
   setup_packages
   setup_venv
   [ "$extras_needed" = no ] || setup_extras
+  [ "$peers_needed" = no ] || setup_peers
   setup_build
   setup_loopback
   exec 9>&-
