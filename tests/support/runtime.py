@@ -42,7 +42,7 @@ def run(policy: Path, inputs: Arrays, kernel: str = "") -> np.ndarray:
 
 
 def info(policy: Path, kernel: str = "") -> dict[str, Any]:
-    done = program("info", policy, "--json", kernel=kernel)
+    done = program("info", policy, "--json", "--runs", "1", kernel=kernel)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
