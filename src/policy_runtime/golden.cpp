@@ -50,10 +50,15 @@ double Golden::verify(const Policy& policy) const {
   return error;
 }
 
-// Infinite when one cannot be evaluated.
+// Relative to the axis's largest action where that is beyond 1 (joints in degrees, say). Infinite
+// when an example cannot be evaluated.
 double Golden::largest_error(const Policy& policy) const {
   const Header& header = policy.header();
-  const int chunk_size = header.chunk_size();
+  const int chunk_size = header.chunk_size(), A = header.action_size();
+  std::vector<double> unit(A, 1.0);
+  for (std::size_t i = 0; i < chunk_.size(); ++i) {
+    unit[i % A] = std::fmax(unit[i % A], std::fabs(double{chunk_[i]}));
+  }
   Workspace workspace = policy.make_workspace();
   std::vector<float> chunk(chunk_size);
   std::vector<const std::uint8_t*> images(images_.size());
@@ -68,7 +73,7 @@ double Golden::largest_error(const Policy& policy) const {
     if (!policy.forward(input, chunk.data(), workspace)) return HUGE_VAL;
     for (int i = 0; i < chunk_size; ++i) {
       const double error = double{chunk[i]} - double{chunk_[n * chunk_size + i]};
-      largest = std::fmax(largest, std::fabs(error));
+      largest = std::fmax(largest, std::fabs(error) / unit[i % A]);
     }
   }
   return largest;

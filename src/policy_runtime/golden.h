@@ -17,7 +17,8 @@ class Golden {
   Golden(SafetensorsFile& file, const Policy& policy);
 
   /// Evaluates all of them twice: the first pass also brings code and weights into the caches; both
-  /// must agree. @returns the largest |ours - theirs|, in action units.
+  /// must agree. @returns the largest |ours - theirs|, in action units, or as a fraction of the
+  /// axis's largest action where that is beyond 1.
   /// @throws PolicyError above Policy::kGoldenTolerance.
   double verify(const Policy& policy) const;
 

@@ -29,7 +29,8 @@ struct Input {
 ///   const bool usable = policy->forward({.observation = observation}, chunk.data(), workspace);
 class Policy {
  public:
-  /// Golden examples may differ by this much, in action units. Float rounding stays near 1e-6.
+  /// Golden examples may differ by this much, in action units, or as a fraction of the axis's
+  /// largest action where that is beyond 1. Float rounding stays near 1e-6.
   static constexpr double kGoldenTolerance = 1e-5;
 
   /// Reads, checks and warms up a policy; slow, for a loader thread. The structure is checked
@@ -49,7 +50,7 @@ class Policy {
   /// Standard normal numbers that forward() takes; 0: the policy is deterministic.
   int noise_size() const noexcept { return head_->noise_size(); }
 
-  /// Largest absolute difference between our golden chunks and the learner's, in action units.
+  /// Largest difference between our golden chunks and the learner's; see kGoldenTolerance.
   double golden_error() const noexcept { return golden_error_; }
 
   /// Scratch for forward(), sized for this policy.

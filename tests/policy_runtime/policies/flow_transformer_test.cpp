@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include "policy_runtime/act_file.h"
+#include "policy_runtime/file/config_reader.h"
 #include "policy_runtime/file/safetensors.h"
 #include "policy_runtime/policies/flow.h"
 
