@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "policy_runtime/layers/add.h"
 #include "policy_runtime/scratch.h"
 
 namespace tandem::policy {
@@ -39,9 +40,8 @@ LayerNorm take_layer_norm(SafetensorsFile& file, const std::string& prefix, int 
 
 void add_and_normalise(const Kernels& kernels, const LayerNorm& norm, ConstRows X, int n, Rows Y) {
   for (int i = 0; i < n; ++i) {
-    const float* x = X.data + i * X.stride;
     float* y = Y.data + i * Y.stride;
-    for (int c = 0; c < norm.n; ++c) y[c] += x[c];
+    add(X.data + i * X.stride, norm.n, y);
     norm.forward(kernels, y);
   }
 }

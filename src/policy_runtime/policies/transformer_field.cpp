@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "policy_runtime/file/safetensors.h"
+#include "policy_runtime/layers/add.h"
 #include "policy_runtime/scratch.h"
 
 namespace tandem::policy {
@@ -126,8 +127,7 @@ void TransformerField::velocity(int step, ConstRows A, int samples, Rows V,
   action_.forward(kernels, actions, samples, rows);
   const float* time = time_.data() + step * row_stride();
   for (int i = 0; i < n; ++i) {
-    float* row = rows.data + i * rows.stride;
-    for (std::size_t c = 0; c < rows.stride; ++c) row[c] += time[c];
+    add(time, static_cast<int>(rows.stride), rows.data + i * rows.stride);
   }
 
   layers_.front().forward(kernels, rows, {rows.data + padded(d_), rows.stride},
