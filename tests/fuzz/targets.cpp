@@ -1,18 +1,14 @@
 #include "fuzz/targets.h"
 
-#include <sys/mman.h>
-#include <unistd.h>
-
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
 
 #include "controller/link/door.h"
+#include "fuzz/policy_files.h"
 #include "fuzz/session.h"
 #include "intervention/command_check.h"
-#include "policy_runtime/policy.h"
-#include "policy_runtime/policy_error.h"
 
 namespace tandem::fuzz {
 namespace {
@@ -203,33 +199,6 @@ bool take_learner(const uint8_t* data, size_t size) {
   return decode_back(data, size, message);
 }
 
-// ---- POLICY_FILE: the loader sizes nothing before it has checked it
-
-std::vector<Bytes> policy_seeds() {
-  Bytes file(8, 0);
-  const std::string header =
-      R"({"__metadata__":{"format":"tandem-policy-1","task":"peg"},)"
-      R"("actor.0.weight":{"dtype":"F32","shape":[2,1],"data_offsets":[0,8]}})";
-  file[0] = static_cast<uint8_t>(header.size());
-  file.insert(file.end(), header.begin(), header.end());
-  file.insert(file.end(), 8, 0);
-  return {file};
-}
-
-bool take_policy(const uint8_t* data, size_t size) {
-  static const int file = memfd_create("policy", MFD_CLOEXEC);
-  static const std::string path = "/proc/self/fd/" + std::to_string(file);
-  if (ftruncate(file, 0) != 0 || pwrite(file, data, size, 0) != static_cast<ssize_t>(size)) {
-    fail("the memory file can be written");
-  }
-  try {
-    (void)policy::Policy::load(path);
-    return true;
-  } catch (const policy::PolicyError&) {
-    return false;  // a sentence; anything else that is thrown ends the process
-  }
-}
-
 }  // namespace
 
 const std::vector<Target>& targets() {
@@ -241,7 +210,7 @@ const std::vector<Target>& targets() {
       {"EPISODE_ACK", ack_seeds, take_ack, nullptr},
       {"EPISODE_REQUEST", request_seeds, take_request, nullptr},
       {"LEARNER_STATUS", learner_seeds, take_learner, nullptr},
-      {"POLICY_FILE", policy_seeds, take_policy, nullptr}};
+      {"POLICY_FILE", policy_seeds, take_policy, draw_policy}};
   return all;
 }
 

@@ -67,7 +67,7 @@ HWY_INLINE V Gelu(V x) {
 void Activate(Activation f, float* y, int n) {
   switch (f) {
     case Activation::kRelu:
-      return ForEach(y, n, [](V v) { return hn::Max(v, hn::Zero(d)); });
+      return ForEach(y, n, [](V v) { return hn::Max(hn::Zero(d), v); });
     case Activation::kTanh:
       return ForEach(y, n, [](V v) { return hn::Tanh(d, v); });
     case Activation::kGelu:

@@ -71,7 +71,7 @@ void WinogradOut(const float* M, std::size_t stride, const WinogradOutput& tile)
             tile.residual + y * tile.residual_row_stride + x * tile.residual_pixel_stride;
         value = hn::Add(value, hn::Load(d, residual + c));
       }
-      if (tile.relu) value = hn::Max(value, hn::Zero(d));
+      if (tile.relu) value = hn::Max(hn::Zero(d), value);
       hn::Store(value, d, tile.out + y * tile.out_row_stride + x * tile.out_pixel_stride + c);
     };
     for (int y = 0; y < tile.height; ++y) {

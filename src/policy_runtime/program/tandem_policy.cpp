@@ -140,15 +140,6 @@ void run(const std::string& path, const std::string& input, const std::string& o
   write_safetensors(output, "chunk", {N, header.horizon, header.action_size()}, chunk);
 }
 
-// One JSON object, for programs that compare.
-void bench(const std::string& path, int runs) {
-  const auto policy = Policy::load(path);
-  const Json json = {{"kernel", kernel_name()},
-                     {"golden_error", policy->golden_error()},
-                     {"microseconds", measure(*policy, runs)}};
-  std::cout << json.dump() << "\n";
-}
-
 void list_kernels() {
   std::cout << "available";
   for (const std::string& name : available_kernels()) std::cout << " " << name;
@@ -183,12 +174,6 @@ int main(int argc, char** argv) {
       ->required();
   run_command->add_option("--output", output, "chunk (N, h, A)")->required();
 
-  CLI::App* bench_command =
-      app.add_subcommand("bench", "Microseconds of every evaluation, as JSON");
-  bench_command->add_option("FILE", file, "policy file (.safetensors)")->required();
-  bench_command->add_option("--runs", runs, "evaluations, default 100")
-      ->check(CLI::Range(1, 1000000));
-
   app.add_subcommand("kernels", "Kernels this machine can run, best first, and the chosen one");
   CLI11_PARSE(app, argc, argv);
 
@@ -198,8 +183,6 @@ int main(int argc, char** argv) {
       info(file, runs, as_json);
     } else if (run_command->parsed()) {
       run(file, input, output);
-    } else if (bench_command->parsed()) {
-      bench(file, runs);
     } else {
       list_kernels();
     }

@@ -122,6 +122,20 @@ TEST(Activation, TanhNeverLeavesTheUnitInterval) {
   }
 }
 
+TEST(Activation, LetsNumbersThatAreNoneThrough) {
+  std::vector<Kernels> all = simd_kernels();
+  all.push_back(scalar_kernels());
+  for (const Kernels& kernels : all) {
+    for (const Activation f :
+         {Activation::kIdentity, Activation::kRelu, Activation::kTanh, Activation::kGelu}) {
+      AlignedBuffer y(3);
+      y.data()[1] = std::nanf("");
+      kernels.activate(f, y.data(), 3);
+      EXPECT_TRUE(std::isnan(y.data()[1])) << kernels.name << ": overflow must not come out as 0";
+    }
+  }
+}
+
 TEST(KernelChoice, CanBeForcedAndNamesTheChoicesOtherwise) {
   for (const std::string& name : available_kernels()) {
     force_kernel(name);

@@ -26,7 +26,8 @@ FUZZED = (
     "LEARNER_STATUS",
     "POLICY_FILE",
 )
-LARGEST_INPUT = 4096  # bytes; a valid message has fewer
+LARGEST_INPUT = {"POLICY_FILE": 65536}  # bytes; a valid input has fewer
+LARGEST_MESSAGE = 4096
 
 
 class Sanitizer(enum.StrEnum):
@@ -125,7 +126,7 @@ def _fuzz(n: int, names: list[str]) -> int:
             f"--target={name}",
             f"-runs={n}",
             "-seed=1",
-            f"-max_len={LARGEST_INPUT}",
+            f"-max_len={LARGEST_INPUT.get(name, LARGEST_MESSAGE)}",
             "-len_control=0",
             "-rss_limit_mb=4096",
             "-timeout=60",
