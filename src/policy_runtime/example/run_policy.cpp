@@ -1,4 +1,5 @@
-// run_policy POLICY.safetensors NUMBER...: the observation's numbers in, the chunk out, a line a step.
+// run_policy POLICY.safetensors NUMBER...: the observation's numbers in, the chunk out, a line a
+// step.
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
