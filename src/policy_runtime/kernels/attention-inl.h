@@ -1,5 +1,5 @@
 // Attention, one head after the other: its keys and values are laid out as panels, so that both
-// products are gemm.
+// products are gemm. A few keys would fill a panel badly; there the queries are laid out as one.
 #if defined(TANDEM_POLICY_KERNELS_ATTENTION_INL_H_) == defined(HWY_TARGET_TOGGLE)
 #ifdef TANDEM_POLICY_KERNELS_ATTENTION_INL_H_
 #undef TANDEM_POLICY_KERNELS_ATTENTION_INL_H_
@@ -32,8 +32,8 @@ HWY_INLINE void TransposeFour(const float* const (&keys)[4], float* panel) {
   hn::Store(hn::InterleaveUpper(four, even23, odd23), four, panel + 3 * kPadding);
 }
 
-// K (n, size) as a packed matrix: scores = q K'.
-void PackKeys(ConstRows K, int n, int size, float* panels) {
+// n rows of `size` columns as a packed matrix: of keys, scores = q K'.
+void PackRows(ConstRows K, int n, int size, float* panels) {
   for (int first = 0; first < n; first += kPadding, panels += size * kPadding) {
     for (int lane = 0; lane < kPadding; lane += 4) {
       const float* keys[4];
@@ -69,6 +69,9 @@ void PackValues(ConstRows V, int n, int size, float* panels) {
   }
 }
 
+// Highway's own makes 0 of NaN.
+HWY_INLINE V Exp(V x) { return hn::IfThenElse(hn::IsNaN(x), x, hn::Exp(d, x)); }
+
 // scores = exp(scores - the largest) over the first n, zero up to the padding. Returns their sum.
 float ExpAndSum(float* scores, int n) {
   const int end = static_cast<int>(padded(n));
@@ -82,8 +85,7 @@ float ExpAndSum(float* scores, int n) {
     HWY_UNROLL(4)
     for (int r = 0; r < kRegisters; ++r) {
       float* at = scores + i + r * kLanes;
-      const V x = hn::Sub(hn::Load(d, at), largest);
-      const V weight = hn::IfThenElse(hn::IsNaN(x), x, hn::Exp(d, x));  // Exp makes 0 of NaN
+      const V weight = Exp(hn::Sub(hn::Load(d, at), largest));
       hn::Store(weight, d, at);
       sum[r] = hn::Add(sum[r], weight);
     }
@@ -100,9 +102,77 @@ void Divide(const float* from, float total, int size, float* to) {
   for (; c < size; ++c) to[c] = from[c] / total;
 }
 
+// scores (n_keys, kPadding) = exp(scores - the largest of the query), totals (kPadding) their sums.
+void ExpAndSumOfColumns(float* scores, int n_keys, float* totals) {
+  for (int lane = 0; lane < kPadding; lane += kLanes) {
+    V largest = hn::Load(d, scores + lane);
+    for (int j = 1; j < n_keys; ++j) {
+      largest = hn::Max(largest, hn::Load(d, scores + j * kPadding + lane));
+    }
+    V total = hn::Zero(d);
+    for (int j = 0; j < n_keys; ++j) {
+      float* at = scores + j * kPadding + lane;
+      const V weight = Exp(hn::Sub(hn::Load(d, at), largest));
+      hn::Store(weight, d, at);
+      total = hn::Add(total, weight);
+    }
+    hn::Store(total, d, totals + lane);
+  }
+}
+
+// With few keys: kPadding queries side by side.
+constexpr int kFewKeys = 8;
+
+void AttendToFew(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
+                 float* scratch) {
+  const int size = shape.head_size, n_keys = shape.n_keys;
+  float* queries = scratch;
+  float* values = queries + kPadding * size;
+  float* totals = values + n_keys * padded(size);
+  float* scores = totals + kPadding;
+  float* result = scores + kFewKeys * kPadding;
+  for (int head = 0; head < shape.heads; ++head) {
+    const int begin = head * size;
+    PackValues(part(V, 0, begin), n_keys, size, values);
+    for (int first = 0; first < shape.n_queries; first += kPadding) {
+      const int n = std::min(kPadding, shape.n_queries - first);
+      PackRows(part(Q, first, begin), n, size, queries);
+      for (int j = 0; j < n_keys; ++j) {
+        const float* key = part(K, j, begin).data;
+        HWY_NAMESPACE::V sum[kRegisters];
+        for (auto& each : sum) each = hn::Zero(d);
+        for (int c = 0; c < size; ++c) {
+          const auto value = hn::Set(d, key[c]);
+          HWY_UNROLL(4)
+          for (int r = 0; r < kRegisters; ++r) {
+            sum[r] = hn::MulAdd(hn::Load(d, queries + c * kPadding + r * kLanes), value, sum[r]);
+          }
+        }
+        for (int r = 0; r < kRegisters; ++r) {
+          hn::Store(sum[r], d, scores + j * kPadding + r * kLanes);
+        }
+      }
+      ExpAndSumOfColumns(scores, n_keys, totals);
+      for (int i = 0; i < n; ++i) {
+        for (int c = 0; c < size; c += kLanes) {
+          const float* value = values + c / kPadding * n_keys * kPadding + c % kPadding;
+          auto sum = hn::Zero(d);
+          for (int j = 0; j < n_keys; ++j) {
+            const auto weight = hn::Set(d, scores[j * kPadding + i]);
+            sum = hn::MulAdd(hn::Load(d, value + j * kPadding), weight, sum);
+          }
+          hn::Store(sum, d, result + c);
+        }
+        Divide(result, totals[i], size, part(out, first + i, begin).data);
+      }
+    }
+  }
+}
+
 void Attention(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows V, Rows out,
                float* scratch) {
   if (shape.n_queries <= 0) return;
+  if (shape.n_keys <= kFewKeys) return AttendToFew(shape, Q, K, V, out, scratch);
   const int size = shape.head_size, n_keys = shape.n_keys;
   const std::size_t key_stride = padded(n_keys), size_stride = padded(size);
   // blocks of queries of about equal height
@@ -115,7 +185,7 @@ void Attention(const AttentionShape& shape, ConstRows Q, ConstRows K, ConstRows 
   std::fill(zeros, scores.data, 0.0f);
   for (int head = 0; head < shape.heads; ++head) {
     const int begin = head * size;
-    PackKeys(part(K, 0, begin), n_keys, size, keys);
+    PackRows(part(K, 0, begin), n_keys, size, keys);
     PackValues(part(V, 0, begin), n_keys, size, values);
     for (int first = 0; first < shape.n_queries; first += block) {
       const int n = std::min(block, shape.n_queries - first);

@@ -61,7 +61,7 @@ struct AttentionShape {
   std::size_t scratch() const {
     const std::size_t keys = padded(n_keys), size = padded(head_size);
     return keys * head_size + n_keys * size + std::max(keys, size) +
-           std::min(n_queries, kBlock) * (keys + size);
+           std::clamp(n_queries, kPadding, kBlock) * (keys + size);
   }
 };
 

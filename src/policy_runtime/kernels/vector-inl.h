@@ -30,13 +30,15 @@ HWY_INLINE V LoadWeights(const std::uint16_t* w) {
   return hn::BitCast(d, hn::ShiftLeft<16>(hn::PromoteTo(bits, hn::Load(halves, w))));
 }
 
-// The kPadding sums of a register column, from left to right: the same at any register width.
+// The kPadding sums of a register column, half added to half until one is left: the same at any
+// register width.
 HWY_INLINE float SumOfLanes(const V (&sums)[kRegisters]) {
   alignas(64) float lanes[kPadding];
   for (int r = 0; r < kRegisters; ++r) hn::Store(sums[r], d, lanes + r * kLanes);
-  float total = 0.0f;
-  for (const float lane : lanes) total += lane;
-  return total;
+  for (int half = kPadding / 2; half > 0; half /= 2) {
+    for (int i = 0; i < half; ++i) lanes[i] += lanes[i + half];
+  }
+  return lanes[0];
 }
 
 }  // namespace HWY_NAMESPACE
