@@ -1,8 +1,6 @@
 #include "policy_runtime/policies/flow.h"
 
 #include <algorithm>
-#include <cmath>
-#include <numbers>
 #include <utility>
 
 #include "policy_runtime/policies/perceptron_field.h"
@@ -10,16 +8,6 @@
 #include "policy_runtime/scratch.h"
 
 namespace tandem::policy {
-
-std::vector<double> time_features(int n, double t) {
-  std::vector<double> phi(n);
-  for (int i = 0; i < n / 2; ++i) {
-    const double angle = std::numbers::pi * (i + 1) * t;
-    phi[i] = std::cos(angle);
-    phi[n / 2 + i] = std::sin(angle);
-  }
-  return phi;
-}
 
 FlowHead::Config FlowHead::Config::read(ConfigReader& reader) {
   constexpr int kMaxSteps = 100, kMaxTimeFeatures = 256;
