@@ -104,13 +104,14 @@ void ActFormula::add(PolicyFile& file, const std::string& prefix, std::mt19937& 
     file.tensors[prefix + ".output.offset"] = random_tensor({A}, 0.0f, 1.0f, random);
   }
   if (spec.cameras.empty()) return;
-  for (const auto& [name, tensor] : make_cnn(spec.backbone, random()).tensors) {
+  const PolicyFile cnn = make_cnn(spec.backbone, random());
+  for (const auto& [name, tensor] : cnn.tensors) {
     file.tensors[prefix + name.substr(name.find('.'))] = tensor;
   }
   add_linear(file, prefix + ".camera_projection", spec.backbone.back().channels, d, random);
   for (const Camera& camera : spec.cameras) {
     const Volume features =
-        evaluate_cnn(file, spec.backbone, black(camera), camera.height, camera.width);
+        evaluate_cnn(cnn, spec.backbone, black(camera), camera.height, camera.width);
     file.tensors[prefix + ".camera_position." + camera.name] =
         random_positions(features.height * features.width, d, random);
     const std::int64_t N = 8;

@@ -111,6 +111,23 @@ TEST(Act, LooksThroughItsCameras) {
   force_kernel("simd");
 }
 
+TEST(Act, JudgesItsGoldenExamplesByTheSizeOfTheirActions) {
+  ActSpec spec;
+  spec.output = "linear";
+  const ActFormula head({.observation = 7, .axes = {"shoulder", "elbow"}, .horizon = 3}, spec);
+  const auto refused = [&](float scale, float error) {
+    PolicyFile file = make_policy(head);
+    std::fill_n(file.tensors["actor.output.scale"].values.begin(), 2, scale);
+    std::mt19937 random(2);
+    add_golden(file, head, random);
+    file.tensors["golden.chunk"].values[1] += error;
+    return refusal(write_file(file));
+  };
+  EXPECT_EQ(refused(1000.0f, 1e-3f), "") << "degrees round by more than 1e-5";
+  EXPECT_TRUE(says(refused(1000.0f, 1.0f), "golden examples differ"));
+  EXPECT_TRUE(says(refused(1e-3f, 1e-3f), "golden examples differ")) << "small ones stay strict";
+}
+
 TEST(Act, NeitherAllocatesNorRemembersInForward) {
   for (const bool sample_latent : {false, true}) {
     const ActFormula head({.observation = 7, .horizon = 3},

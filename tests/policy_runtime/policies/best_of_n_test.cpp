@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "policy_runtime/act_file.h"
 #include "policy_runtime/head_formulas.h"
 #include "policy_runtime/kernels/kernels.h"
 #include "policy_runtime/policy.h"
@@ -243,6 +244,36 @@ TEST(BestOfN, RefusesHeadsOfAnotherHorizon) {
   PolicyFile file = make_file("best_of_n", head.config().dump(), 7, kSmall.axes, 1, random);
   head.add(file, "actor", random);
   EXPECT_TRUE(says(refusal(write_file(file)), "a head with the horizon 3", "the whole, 2"));
+}
+
+TEST(BestOfN, ProposesWhatTransformersSampleToo) {
+  ActSpec act;
+  act.sample_latent = true;
+  const BestOfNFormula head(
+      kSmall,
+      {{std::make_shared<ActFormula>(kSmall, act), 3},
+       {std::make_shared<FlowTransformerFormula>(kSmall, FlowTransformerSpec{}), 2}},
+      {.used = kNoEdit}, {});
+  expect_agreement(make_policy(head), head, 20);
+}
+
+TEST(BestOfN, RefusesHeadsThatLookThroughDifferentCameras) {
+  ActSpec front, back;
+  front.cameras = {{"front", 9, 10}};
+  back.cameras = {{"back", 9, 10}};
+  const auto refused = [&](const ActSpec& other) {
+    const BestOfNFormula head(kSmall,
+                              {{std::make_shared<ActFormula>(kSmall, front), 1},
+                               {flow(kSmall), 1},
+                               {std::make_shared<ActFormula>(kSmall, other), 1}},
+                              {.used = kNoEdit}, {});
+    std::mt19937 random(1);
+    PolicyFile file = make_file("best_of_n", head.config().dump(), 7, kSmall.axes, 1, random);
+    head.add(file, "actor", random);
+    return refusal(write_file(file));
+  };
+  EXPECT_TRUE(says(refused(back), "different cameras"));
+  EXPECT_TRUE(says(refused(front), "golden.observation")) << "the same cameras are no reason";
 }
 
 TEST(BestOfN, RefusesMissingTensors) {
