@@ -26,7 +26,7 @@ class Config(transformer.Stack):
     horizon: Horizon
     latent_size: Annotated[int, Field(ge=1, le=1024)]
     sample_latent: bool
-    cameras: Annotated[tuple[Camera, ...], Field(max_length=16, strict=False)]
+    cameras: Annotated[tuple[Camera, ...], Field(max_length=8, strict=False)]
     backbone: image.Backbone | None
     output: Literal["tanh", "linear"]
 

@@ -31,8 +31,8 @@ LogStd = Annotated[float, Field(ge=-20, le=5)]
 
 
 class HeadConfig(BaseModel):
-    """The structure of a network. Its JSON dump is what the policy file calls "config"; frozen, so that a jitted
-    function can be kept per config."""
+    """The structure of a network, within the limits of the policy runtime. Its JSON dump is what the policy file calls
+    "config"; frozen, so that a jitted function can be kept per config."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 

@@ -39,7 +39,7 @@ class Proposer(HeadConfig):
 
     architecture: Literal["mlp", "gaussian", "flow", "act"]
     config: SerializeAsAny[HeadConfig]
-    samples: Annotated[int, Field(ge=1, le=1024)]
+    samples: Annotated[int, Field(ge=1, le=256)]
 
     @field_validator("config", mode="before")
     @classmethod
@@ -75,7 +75,7 @@ class Critic(HeadConfig):
 
 class Config(HeadConfig):
     horizon: Horizon
-    heads: Annotated[tuple[Proposer, ...], Field(min_length=1, max_length=16, strict=False)]
+    heads: Annotated[tuple[Proposer, ...], Field(min_length=1, max_length=8, strict=False)]
     edit: Edit | None
     critic: Critic
 

@@ -22,8 +22,8 @@ from tandem.learner.networks.base import Activation, Array, HeadConfig, Hidden, 
 from tandem.learner.networks.mlp import OUTPUT_GAIN, forward, init_mlp
 from tandem.learner.networks.transformer import dense
 
-Steps = Annotated[int, Field(ge=1, le=1000)]
-TimeFeatures = Annotated[int, Field(ge=2, le=1024, multiple_of=2)]
+Steps = Annotated[int, Field(ge=1, le=100)]
+TimeFeatures = Annotated[int, Field(ge=2, le=256, multiple_of=2)]
 
 
 class MlpConfig(HeadConfig):

@@ -23,13 +23,13 @@ IMAGENET_MEAN, IMAGENET_DEVIATION = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 class Camera(HeadConfig):
     name: Annotated[str, Field(min_length=1)]
-    height: Annotated[int, Field(ge=1, le=4096)]
-    width: Annotated[int, Field(ge=1, le=4096)]
+    height: Annotated[int, Field(ge=8, le=1024)]
+    width: Annotated[int, Field(ge=8, le=1024)]
 
 
 class ResNet18(HeadConfig):
     kind: Literal["resnet18"] = "resnet18"
-    width: Annotated[int, Field(ge=1, le=512)]  # channels of the first stage; torchvision's has 64
+    width: Annotated[int, Field(ge=1, le=256)]  # channels of the first stage; torchvision's has 64
 
     @property
     def channels(self) -> int:
@@ -37,9 +37,9 @@ class ResNet18(HeadConfig):
 
 
 class Convolution(HeadConfig):
-    channels: Annotated[int, Field(ge=1, le=4096)]
-    kernel: Annotated[int, Field(ge=1, le=15)]
-    stride: Annotated[int, Field(ge=1, le=15)]
+    channels: Annotated[int, Field(ge=1, le=2048)]
+    kernel: Literal[1, 3, 5, 7]
+    stride: Annotated[int, Field(ge=1, le=4)]
 
 
 class Cnn(HeadConfig):

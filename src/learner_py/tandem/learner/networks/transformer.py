@@ -32,8 +32,8 @@ class Stack(HeadConfig):
     model_size: Annotated[int, Field(ge=1, le=4096)]
     heads: Annotated[int, Field(ge=1, le=64)]
     feedforward: Annotated[int, Field(ge=1, le=16384)]
-    encoder_layers: Annotated[int, Field(ge=1, le=32)]
-    decoder_layers: Annotated[int, Field(ge=1, le=32)]
+    encoder_layers: Annotated[int, Field(ge=1, le=16)]
+    decoder_layers: Annotated[int, Field(ge=1, le=16)]
     activation: Literal["relu", "gelu"]
     tokens: Annotated[tuple[Token, ...], Field(min_length=1, max_length=64, strict=False)]
 
