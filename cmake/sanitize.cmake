@@ -11,9 +11,7 @@ if(TANDEM_SANITIZE STREQUAL "")
 elseif(TANDEM_SANITIZE STREQUAL "thread")
   set(sanitizers -fsanitize=thread)
 elseif(TANDEM_SANITIZE STREQUAL "address")
-  # Without `null`: gcc takes calls through pointers to members, as in LCM's headers, for calls on null.
-  # A real one is reported all the same, as a segmentation fault.
-  set(sanitizers -fsanitize=address,undefined -fno-sanitize=null -fno-sanitize-recover=all)
+  set(sanitizers -fsanitize=address,undefined -fno-sanitize-recover=all)
 elseif(TANDEM_SANITIZE STREQUAL "fuzz")
   if(NOT CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
     message(FATAL_ERROR "TANDEM_SANITIZE=fuzz needs clang, the compiler is ${CMAKE_CXX_COMPILER_ID}; "

@@ -27,8 +27,12 @@ class OperatorProcess {
       throw std::runtime_error("LCM can't be started on '" + url +
                                "'; './tandem doctor' checks the network.");
     }
-    lcm_.subscribe("WORLD_STATE", &OperatorProcess::hear_world, this);
-    lcm_.subscribe("CONTROLLER_STATUS", &OperatorProcess::hear_status, this);
+    lcm_.subscribe<world_state_t>("WORLD_STATE",
+                                  [this](const lcm::ReceiveBuffer*, const std::string&,
+                                         const world_state_t* world) { answer(*world); });
+    lcm_.subscribe<controller_status_t>(
+        "CONTROLLER_STATUS", [this](const lcm::ReceiveBuffer*, const std::string&,
+                                    const controller_status_t* status) { obey(*status); });
   }
 
   void run() {
@@ -37,18 +41,17 @@ class OperatorProcess {
   }
 
  private:
-  void hear_world(const lcm::ReceiveBuffer*, const std::string&, const world_state_t* world) {
-    const teleop_command_t command = operator_.answer(*world);
+  void answer(const world_state_t& world) {
+    const teleop_command_t command = operator_.answer(world);
     lcm_.publish("TELEOP_COMMAND", &command);
     ++answered_;
   }
 
-  void hear_status(const lcm::ReceiveBuffer*, const std::string&,
-                   const controller_status_t* status) {
-    if (status->state == controller_status_t::FINISHED ||
-        status->state == controller_status_t::FAULTED)
+  void obey(const controller_status_t& status) {
+    if (status.state == controller_status_t::FINISHED ||
+        status.state == controller_status_t::FAULTED)
       stop = true;
-    if (status->state == controller_status_t::HALTED) recover(*status);
+    if (status.state == controller_status_t::HALTED) recover(status);
   }
 
   /// He presses the button that a person would press after a fault. A stop that someone asked for

@@ -36,17 +36,25 @@ Link::Link(const Settings& settings, const TaskSpec& task, StatusBoard& board)
   }
   refuse_second_controller();
   latest_gains_ = settings.gains;
-  // Raw: nothing is decoded before door.h has looked at it.
-  const auto subscribe = [this](const char* channel, auto handler, int capacity) {
-    lcm_.subscribe(channel, handler, this)->setQueueCapacity(capacity);
-  };
-  subscribe("TELEOP_COMMAND", &Link::hear_teleop, 256);
-  subscribe("CONTROLLER_COMMAND", &Link::hear_command, 30);
-  subscribe("IMPEDANCE_GAINS", &Link::hear_gains, 30);
-  subscribe("EPISODE_ACK", &Link::hear_ack, 0);
-  subscribe("EPISODE_REQUEST", &Link::hear_request, 0);
-  subscribe("POLICY_ANNOUNCE", &Link::hear_announce, 0);
-  subscribe("LEARNER_STATUS", &Link::hear_learner, 30);
+  subscribe<&Link::hear_teleop>("TELEOP_COMMAND")->setQueueCapacity(256);
+  subscribe<&Link::hear_command>("CONTROLLER_COMMAND")->setQueueCapacity(30);
+  subscribe<&Link::hear_gains>("IMPEDANCE_GAINS")->setQueueCapacity(30);
+  subscribe<&Link::hear_ack>("EPISODE_ACK")->setQueueCapacity(0);
+  subscribe<&Link::hear_request>("EPISODE_REQUEST")->setQueueCapacity(0);
+  subscribe<&Link::hear_announce>("POLICY_ANNOUNCE")->setQueueCapacity(0);
+  subscribe<&Link::hear_learner>("LEARNER_STATUS")->setQueueCapacity(30);
+}
+
+// Raw: nothing is decoded before door.h has looked at it. By a plain function, because gcc's checks
+// of undefined behaviour misread LCM's own call through a pointer to a member.
+template <auto kHear>
+lcm::Subscription* Link::subscribe(const char* channel) {
+  return lcm_.subscribeFunction(
+      channel,
+      +[](const lcm::ReceiveBuffer* buffer, const std::string& name, Link* link) {
+        (link->*kHear)(buffer, name);
+      },
+      this);
 }
 
 Link::~Link() {
@@ -57,7 +65,7 @@ Link::~Link() {
 void Link::refuse_second_controller() {
   // Listen for longer than another controller can be silent, telling of ourselves meanwhile: of two
   // that start together, the one with the larger number gives way.
-  auto* subscription = lcm_.subscribe("CONTROLLER_STATUS", &Link::hear_other, this);
+  auto* subscription = subscribe<&Link::hear_other>("CONTROLLER_STATUS");
   const int64_t until_us = monotonic_us() + kListenUs;
   publish_status();
   while (!other_controller_ && monotonic_us() < until_us) lcm_.handleTimeout(20);

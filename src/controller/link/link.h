@@ -82,6 +82,8 @@ class Link {
   void publish_episode(const FinishedEpisode& episode, const std::vector<int32_t>& only_steps);
   void publish_status();
 
+  template <auto kHear>
+  lcm::Subscription* subscribe(const char* channel);
   void hear_other(const lcm::ReceiveBuffer* buffer, const std::string&);
   void hear_teleop(const lcm::ReceiveBuffer* buffer, const std::string&);
   void hear_ack(const lcm::ReceiveBuffer* buffer, const std::string& channel);
