@@ -19,11 +19,15 @@ import sys
 from pathlib import Path
 from rich.console import Console
 from tandem import scenario, supervisor
+from tandem.cli.app import flush
 from tandem.run_folder import RunFolder
 overrides = ["run.clock=realtime", "run.env_steps=" + sys.argv[3]]
 composed = scenario.compose(Path(sys.argv[1]), "peg", "tandem", {}, overrides)
 settings = supervisor.Settings(RunFolder(Path(sys.argv[2])), composed, "./tandem train peg", operator="keyboard")
-sys.exit(supervisor.train(settings, Console()))
+try:
+    sys.exit(supervisor.train(settings, Console()))
+finally:
+    flush()
 """
 
 

@@ -1,9 +1,7 @@
 """All commands of ./tandem."""
 
-import errno
 import os
 import sys
-import termios
 
 import typer
 
@@ -54,10 +52,10 @@ def main() -> None:
     try:
         app(prog_name="tandem")
     finally:
-        _flush()
+        flush()
 
 
-def _flush() -> None:
+def flush() -> None:
     """Whoever listened may be gone (a closed terminal, a pipe): what is left goes nowhere, our exit code stays.
 
     Python would end with 120 instead, depending on whether anything was left to write.
@@ -65,17 +63,5 @@ def _flush() -> None:
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-            gone = _hung_up(stream.fileno())
         except OSError:
-            gone = True
-        if gone:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _hung_up(descriptor: int) -> bool:
-    """Whether this was a terminal: nothing may be left now, but what ends after us may have a last word."""
-    try:
-        termios.tcgetattr(descriptor)
-    except termios.error as error:
-        return bool(error.args[0] == errno.EIO)  # ENOTTY: a file or a pipe
-    return False
