@@ -55,7 +55,8 @@ std::string PolicyFile::data() const {
     const std::size_t kept = bytes_of_a_number(tensor);
     for (const float& value : tensor.values) {
       if (tensor.dtype == "U8") {
-        bytes.push_back(static_cast<char>(static_cast<unsigned char>(value)));
+        const float pixel = value >= 0.0f && value <= 255.0f ? value : 0.0f;
+        bytes.push_back(static_cast<char>(static_cast<unsigned char>(pixel)));
         continue;
       }
       bytes.append(reinterpret_cast<const char*>(&value) + sizeof value - kept, kept);
