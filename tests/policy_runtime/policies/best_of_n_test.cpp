@@ -76,7 +76,7 @@ TEST(BestOfN, AgreesWithTheFormulaInDoublePrecision) {
   for (const BestOfNFormula& head : heads) expect_agreement(make_policy(head, 3), head, 30);
 }
 
-TEST(BestOfN, IsRealTimeAndRepeatable) {
+TEST(BestOfN, NeitherAllocatesNorRemembersInForward) {
   const BestOfNFormula head = everything();
   expect_real_time_and_repeatable(make_policy(head), head);
 }

@@ -18,7 +18,7 @@ TEST(Flow, AgreesWithTheFormulaInDoublePrecision) {
   for (const FlowFormula& head : heads) expect_agreement(make_policy(head, 3), head, 20);
 }
 
-TEST(Flow, IsRealTimeAndRepeatable) {
+TEST(Flow, NeitherAllocatesNorRemembersInForward) {
   const FlowFormula head(kSmall, {.activation = "gelu", .layer_norm = true});
   expect_real_time_and_repeatable(make_policy(head), head);
 }

@@ -43,7 +43,7 @@ TEST(FlowTransformer, AgreesWithTheFormulaInDoublePrecision) {
   }
 }
 
-TEST(FlowTransformer, IsRealTimeAndRepeatable) {
+TEST(FlowTransformer, NeitherAllocatesNorRemembersInForward) {
   expect_real_time_and_repeatable(make_policy(small()), small());
 }
 

@@ -20,7 +20,7 @@ TEST(Gaussian, AgreesWithTheFormulaInDoublePrecision) {
   for (const GaussianFormula& head : heads) expect_agreement(make_policy(head, 3), head, 30);
 }
 
-TEST(Gaussian, IsRealTimeAndRepeatable) {
+TEST(Gaussian, NeitherAllocatesNorRemembersInForward) {
   const GaussianFormula head(kSmall, {.activation = "gelu", .layer_norm = true});
   expect_real_time_and_repeatable(make_policy(head), head);
 }
