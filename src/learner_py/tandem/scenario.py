@@ -1,9 +1,9 @@
 """Scenarios: one YAML file that reproduces a run.
 
 `compose` joins config/run.yaml (key `run`), config/tasks/TASK.yaml (`task`), config/controller.yaml
-(`controller`), config/operator.yaml (`operator`) and config/methods/METHOD.yaml (`method`), applies
-`--set a.b=c` and remembers for each dotted key where its value came from, so that an error of any program
-points to the line that a person wrote.
+(`controller`), config/operator.yaml (`operator`) and config/method.yaml with what config/methods/METHOD.yaml
+changes in it (`method`), applies `--set a.b=c` and remembers for each dotted key where its value came from,
+so that an error of any program points to the line that a person wrote.
 """
 
 import contextlib
@@ -189,7 +189,7 @@ def compose(
         "task": _choice(config / "tasks", task, "task"),
         "controller": config / "controller.yaml",
         "operator": config / "operator.yaml",
-        "method": _choice(config / "methods", method, "method"),
+        "method": config / "method.yaml",
     }
     scenario = Scenario({})
     for section, file in files.items():
@@ -197,6 +197,7 @@ def compose(
         scenario.data[section] = body
         scenario.origins[section] = Origin(_display(file, config), 1)
         scenario.origins.update({f"{section}.{key}": origin for key, origin in origins.items()})
+    _change_method(scenario, config, method)
     _check_run_keys(scenario)
     for key, value in {"task": task, "method": method, **run}.items():
         if value is not None:
@@ -206,6 +207,26 @@ def compose(
         scenario.override(assignment)
     validate_run(scenario)
     return scenario
+
+
+def _change_method(scenario: Scenario, config: Path, method: str) -> None:
+    """Lays config/methods/METHOD.yaml over what all methods share. Only `name` may be new."""
+    file = _choice(config / "methods", method, "method")
+    changes, origins = read_yaml(file, _display(file, config))
+    for key, value in {"name": None, **dict(_leaves(changes, ""))}.items():
+        place = origins.get(key, Origin(_display(file, config), 1))
+        *parents, name = f"method.{key}".split(".")
+        node: Any = scenario.data
+        for part in parents:
+            node = node.get(part) if isinstance(node, dict) else None
+        if key == "name" and value is None:
+            raise ScenarioError(f"{place.file}: name is missing; it must be {method}.")
+        if key != "name" and (not isinstance(node, dict) or name not in node):
+            nearest = _nearest(f"method.{key}", [k for k in scenario.origins if k.startswith("method.")])
+            hint = f"; the nearest is {nearest}" if nearest else ""
+            raise ScenarioError(f"{place}: there is no key method.{key}{hint}.")
+        node[name] = value
+    scenario.origins.update({f"method.{key}": origin for key, origin in origins.items()})
 
 
 def load(path: Path) -> Scenario:

@@ -1,13 +1,16 @@
 """Replay: windows of all episodes in arrays of fixed capacity on the device, rebuildable from the event log.
 
 Rows are appended episode by episode; when `capacity` rows are full the oldest are overwritten. Arrays grow in powers of
-two, so that a jitted update sees few shapes. `rows[:n_rows]` lists the rows that minibatches are drawn from.
+two, so that a jitted update sees few shapes. `rows` lists the rows that minibatches may be drawn from, by name of the
+set: which sets there are is the method's affair.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,23 +21,29 @@ from tandem.learner.windows import Windows
 
 Arrays = dict[str, jax.Array]
 
+
+class RowSet(NamedTuple):
+    """Rows that a minibatch may hold: `listed[:n]`, in the order in which they came."""
+
+    listed: jax.Array  # (allocated,) int32
+    n: jax.Array  # () int32
+
+
+RowSets = dict[str, RowSet]
+
 FIRST_ALLOCATION = 16_384  # rows; a usual run never grows, so it never compiles a second time
 _PADDING = 128  # rows; episodes are padded to multiples of it, so that writing compiles rarely
 
 
 class ReplayBuffer:
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, sets: Sequence[str]) -> None:
         self.capacity = capacity
         self.size = 0  # rows in use
         self.arrays: Arrays = {}  # Windows' fields, each (allocated, ...)
-        self.n_rows = 0
-        self.rows: jax.Array = jnp.zeros(0, jnp.int32)  # (allocated,)
+        self.allocated = 0  # rows that the arrays have
         self._position = 0  # where the next row goes
-        self._eligible = np.zeros(capacity, bool)
-
-    @property
-    def allocated(self) -> int:
-        return len(self.rows)
+        self._members = {name: np.zeros(capacity, bool) for name in sets}
+        self.rows: RowSets = {}
 
     def allocate(self, width: int, horizon: int, n_axes: int) -> None:
         """Makes the first arrays; before that the buffer has no shapes."""
@@ -45,13 +54,13 @@ class ReplayBuffer:
             human=np.zeros((1, horizon), bool),
             mc_return=np.zeros(1, np.float32),
             next_observation=np.zeros((1, width), np.float32),
-            terminated=np.zeros(1, bool),
-            truncated=np.zeros(1, bool),
+            n_step_return=np.zeros(1, np.float32),
+            bootstrap=np.zeros(1, np.float32),
         )
         self._grow_to(min(FIRST_ALLOCATION, self.capacity), one)
 
-    def add(self, windows: Windows, eligible: Bools) -> None:
-        """Appends an episode. eligible (T,): rows that minibatches may hold."""
+    def add(self, windows: Windows, sets: Mapping[str, Bools]) -> None:
+        """Appends an episode. sets: which of its rows (T,) belong to each set."""
         length = len(windows.mc_return)
         if length > self.capacity:
             raise ValueError(
@@ -73,10 +82,23 @@ class ReplayBuffer:
 
         self._position = (self._position + length) % self.capacity
         self.size = min(self.size + length, self.capacity)
-        self._eligible[row] = eligible
-        listed = np.flatnonzero(self._eligible[: self.size]).astype(np.int32)
-        self.n_rows = len(listed)
-        self.rows = jnp.asarray(np.concatenate([listed, np.zeros(self.allocated - len(listed), np.int32)]))
+        for name, members in self._members.items():
+            members[row] = sets[name]
+        self._list_rows()
+
+    def count(self, name: str) -> int:
+        """Rows in a set."""
+        return int(self._members[name][: self.size].sum())
+
+    def _list_rows(self) -> None:
+        # from the oldest row on; before the first overwriting that is row 0
+        oldest = self._position if self.size == self.capacity else 0
+        for name, members in self._members.items():
+            listed = np.flatnonzero(np.roll(members[: self.size], -oldest))
+            listed = (listed + oldest) % max(self.size, 1)
+            padded = np.zeros(self.allocated, np.int32)
+            padded[: len(listed)] = listed
+            self.rows[name] = RowSet(jnp.asarray(padded), jnp.int32(len(listed)))
 
     def sample_observations(self, count: int) -> np.ndarray:
         """Up to `count` stored raw observations (n, O), evenly spread over the buffer."""
@@ -93,7 +115,8 @@ class ReplayBuffer:
             new = jnp.zeros((allocated, *array.shape[1:]), array.dtype)
             grown[field.name] = new if old is None else new.at[: len(old)].set(old)
         self.arrays = grown
-        self.rows = jnp.zeros(allocated, jnp.int32).at[: self.allocated].set(self.rows)
+        self.allocated = allocated
+        self._list_rows()
 
 
 @partial(jax.jit, donate_argnums=0)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -47,35 +48,122 @@ class Execution(Strict):
     noise_clip: float = Field(ge=0, le=2)
 
 
-class Head(Strict):
-    """The actor's network: observation -> chunk."""
+Widths = Annotated[list[Width], Field(min_length=1, max_length=8)]
+Activation = Literal["relu", "tanh", "gelu"]
+LogStd = Annotated[float, Field(ge=-20, le=5)]
 
-    kind: Literal["mlp"]
-    hidden: list[Width] = Field(min_length=1, max_length=8)
-    activation: Literal["relu", "tanh", "gelu"]
+
+class MlpHead(Strict):
+    hidden: Widths
+    activation: Activation
     layer_norm: bool
+
+
+class GaussianHead(MlpHead):
+    log_std_min: LogStd
+    log_std_max: LogStd
+
+
+class FlowHead(MlpHead):
+    steps: int = Field(ge=1, le=100)
+    time_features: int = Field(ge=2, le=256, multiple_of=2)
+
+
+class ActHead(Strict):
+    model_size: int = Field(ge=1, le=4096)
+    heads: int = Field(ge=1, le=64)
+    feedforward: int = Field(ge=1, le=16384)
+    encoder_layers: int = Field(ge=1, le=16)
+    decoder_layers: int = Field(ge=1, le=16)
+    activation: Literal["relu", "gelu"]
+    latent_size: int = Field(ge=1, le=1024)
+    sample_latent: bool
+
+
+class Head(Strict):
+    """The actor's network, observation -> chunk; `kind` says which of the sections counts."""
+
+    kind: Literal["mlp", "gaussian", "flow", "act"]
+    mlp: MlpHead
+    gaussian: GaussianHead
+    flow: FlowHead
+    act: ActHead
+
+
+class TdCritic(Strict):
+    steps: int = Field(ge=1, le=256)
+    target_decay: float = Field(ge=0, lt=1)
+    subset: int = Field(ge=0, le=32)
+    aggregate: Literal["mean", "min"]
+    timeout_is_terminal: bool
 
 
 class Critic(Strict):
     """What scores a chunk, and the return that it learns."""
 
-    kind: Literal["mc", "none"]
+    kind: Literal["mc", "td", "iql", "none"]
     members: int = Field(ge=1, le=32)
-    hidden: list[Width] = Field(min_length=1, max_length=8)
+    hidden: Widths
+    activation: Activation
     cut_return_at_intervention: bool
+    td: TdCritic
+    expectile: float = Field(gt=0, lt=1)
+
+
+class MaxQ(Strict):
+    imitate_self: bool
+    buffer_score: Literal["critic", "return"]
+    pessimism: float = Field(ge=0, le=10)
+
+
+class Awr(Strict):
+    inverse_temperature: float = Field(gt=0, le=100)
+    weight_limit: float = Field(ge=1, le=1e6)
+
+
+class Sac(Strict):
+    initial_temperature: float = Field(gt=0, le=10)
+    target_entropy_per_axis: float = Field(ge=-10, le=10)
+
+
+class E2hil(Strict):
+    samples: int = Field(ge=2, le=64)
+    low_quantile: float = Field(ge=0, le=1)
+    high_quantile: float = Field(ge=0, le=1)
+
+
+class Edit(GaussianHead):
+    scale: float = Field(gt=0, le=1)
 
 
 class Improvement(Strict):
-    """How the actor improves."""
+    """How the actor improves; `kind` says which of the sections counts."""
 
-    kind: Literal["max_q", "imitate"]
-    data: Literal["all", "human", "demonstrations"]
+    kind: Literal["max_q", "imitate", "awr", "q_gradient", "sac", "e2hil", "expo"]
+    data: Literal["all", "human", "demonstrations", "success"]
+    max_q: MaxQ
+    awr: Awr
+    sac: Sac
+    e2hil: E2hil
+    edit: Edit
 
 
 class Decision(Strict):
     """How an action comes out of the head."""
 
-    kind: Literal["head"]
+    kind: Literal["head", "best_of_n"]
+    samples: int = Field(ge=1, le=256)
+    aggregate: Literal["mean", "min"]
+    with_reference: bool
+
+
+class Replay(Strict):
+    """Which rows minibatches hold."""
+
+    batch: int = Field(ge=1, le=65_536)
+    prior_share: float = Field(ge=0, le=1)
+    half_life: int = Field(ge=0, le=100_000_000)
+    capacity: int = Field(ge=1_000, le=100_000_000)
 
 
 class LearnerConfig(Strict):
@@ -83,12 +171,12 @@ class LearnerConfig(Strict):
     critic: Critic
     improvement: Improvement
     decision: Decision
+    replay: Replay
     warm_start_updates: int = Field(ge=0, le=1_000_000)
     updates_per_env_step: float = Field(ge=0, le=100)
-    batch: int = Field(ge=1, le=65_536)
+    updates_per_actor_update: int = Field(ge=1, le=100)
     learning_rate: float = Field(gt=0, le=1)
     ema: float = Field(ge=0, lt=1)
-    buffer_capacity: int = Field(ge=1_000, le=100_000_000)
     normalizer_floor: float = Field(gt=0, le=1)
     checkpoint_every_s: float = Field(ge=0, le=3600)
 
@@ -104,24 +192,49 @@ class MethodConfig(Strict):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> MethodConfig:
-        if self.execution.execute > self.horizon:
-            raise ValueError(
-                f"execution.execute is {self.execution.execute}; it must be in [1, horizon] = [1, {self.horizon}]"
-            )
-        improvement, critic = self.learner.improvement, self.learner.critic
-        if improvement.kind == "max_q" and critic.kind == "none":
-            raise ValueError(
-                "learner.critic.kind is none; improvement max_q ranks actions by a critic: choose mc"
-            )
-        if improvement.kind == "max_q" and improvement.data != "all":
-            raise ValueError(
-                f"learner.improvement.data is {improvement.data}; max_q learns from all data: choose all"
-            )
-        if improvement.kind == "imitate" and critic.kind != "none":
-            raise ValueError(
-                f"learner.critic.kind is {critic.kind}; improvement imitate ranks nothing: choose none"
-            )
+        for says, rule in self._misfits():
+            raise ValueError(f"{says}; {rule}")
         return self
+
+    def _misfits(self) -> Iterator[tuple[str, str]]:
+        learner = self.learner
+        improvement, critic, td = learner.improvement, learner.critic, learner.critic.td
+        if self.execution.execute > self.horizon:
+            yield (
+                f"execution.execute is {self.execution.execute}",
+                f"it must be in [1, horizon] = [1, {self.horizon}]",
+            )
+        if improvement.kind != "imitate" and critic.kind == "none":
+            yield (
+                f"learner.critic.kind is none; improvement {improvement.kind} asks a critic",
+                "choose mc, td or iql",
+            )
+        if learner.decision.kind == "best_of_n" and critic.kind == "none":
+            yield "learner.critic.kind is none; decision best_of_n asks a critic", "choose mc, td or iql"
+        if improvement.kind == "max_q" and improvement.data != "all":
+            yield f"learner.improvement.data is {improvement.data}", "max_q learns from all data: choose all"
+        if improvement.kind in ("sac", "e2hil") and learner.head.kind != "gaussian":
+            yield (
+                f"learner.head.kind is {learner.head.kind}",
+                f"{improvement.kind} needs its log-density: choose gaussian",
+            )
+        if critic.kind in ("td", "iql") and td.steps < self.horizon:
+            yield (
+                f"learner.critic.td.steps is {td.steps}",
+                f"it must not be less than the horizon of {self.horizon}",
+            )
+        if td.subset > critic.members:
+            yield (
+                f"learner.critic.td.subset is {td.subset}",
+                f"there are {critic.members} critics (learner.critic.members)",
+            )
+        if improvement.kind == "expo" and learner.decision.kind != "best_of_n":
+            yield (
+                f"learner.decision.kind is {learner.decision.kind}",
+                "expo decides between samples and their edits: choose best_of_n",
+            )
+        if learner.decision.with_reference and learner.decision.kind != "best_of_n":
+            yield "learner.decision.with_reference is true", "it is for best_of_n"
 
 
 class RunConfig(Lenient):

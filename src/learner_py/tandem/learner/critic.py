@@ -1,27 +1,44 @@
-"""The MC Q-chunk critic: values of chunks, regressed onto the returns that were really earned.
+"""What a chunk is worth: an ensemble of Q(x, chunk), by itself and beside a value V(x).
 
-No bootstrap and no target network: Q estimates the behaviour that filled the buffer, humans included, so a rescue
-raises the value of the human's actions directly.
+mc    Q is regressed onto the return that was really earned. No bootstrap: Q estimates the behaviour that filled the
+      buffer, humans included, so a rescue raises the value of the human's actions directly.
+td    Q is regressed onto R + b Q'(x', chunk'), chunk' decided by the policy; Q' moves slowly (Q-chunking, RLPD).
+iql   Q is regressed onto R + b V(x'), V onto an upper expectile of Q' (Kostrikov et al. 2021): never asks about a
+      chunk that nobody executed.
 """
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 
 from tandem.learner.networks import Array, Mlp, ensemble_values
 
 
-def mean_score(critic: Mlp, x: Array, chunk: Array) -> Array:
+def mean_score(critic: Mlp, x: Array, chunk: Array, activation: str = "relu") -> Array:
     """The ranking score (B,): mean over the ensemble. No gradient: ranking must not bend the critic."""
-    return lax.stop_gradient(ensemble_values(critic, x, chunk).mean(axis=0))
+    return lax.stop_gradient(ensemble_values(critic, x, chunk, activation).mean(axis=0))
 
 
-def mc_loss(critic: Mlp, x: Array, chunk: Array, mc_return: Array) -> tuple[Array, Array]:
-    """Loss and ranking score (B,) of the chunks. The members' mean squared errors are summed: each learns as if alone.
+def regression_loss(values: Array, target: Array) -> Array:
+    """values (M, B), target (B,). The members' mean squared errors are summed: each learns as if alone."""
+    return jnp.mean(jnp.square(values - target), axis=1).sum()
 
-    x (B, O) normalised, chunk (B, h, A) with its padding, mc_return (B,).
-    """
-    values = ensemble_values(critic, x, chunk)  # (M, B)
-    loss = jnp.mean(jnp.square(values - mc_return), axis=1).sum()
-    return loss, lax.stop_gradient(values.mean(axis=0))
+
+def expectile_loss(value: Array, target: Array, expectile: float) -> Array:
+    """value, target (B,): errors below the target weigh `expectile`, those above it the rest."""
+    error = target - value
+    return jnp.mean(jnp.where(error > 0, expectile, 1.0 - expectile) * jnp.square(error))
+
+
+def bootstrap_value(values: Array, subset: int, aggregate: str, key: Array) -> Array:
+    """Q' (B,) of target critics' values (M, B): mean or minimum over `subset` of them, drawn anew (REDQ); 0: all."""
+    if subset:
+        values = values[jax.random.permutation(key, len(values))[:subset]]
+    return values.min(axis=0) if aggregate == "min" else values.mean(axis=0)
+
+
+def state_value(value: Mlp, x: Array, activation: str) -> Array:
+    """V (B,); an ensemble of one that sees no chunk."""
+    return ensemble_values(value, x, jnp.zeros((len(x), 0)), activation)[0]

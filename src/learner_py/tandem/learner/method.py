@@ -1,34 +1,55 @@
-"""A method as functions: its configuration (head, critic, improvement, decision) turned into the four things that
-training needs. Everything that depends on a choice is decided here and nowhere else.
+"""A method as functions: its configuration (head, critic, improvement, decision) turned into what training needs.
+
+Every choice is decided here and nowhere else; what the choices do is in actor.py, critic.py, improvement/ and
+networks/best_of_n.py.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax import lax
 
+from tandem.learner.actor import Actor, make_actor
 from tandem.learner.buffer import Arrays
 from tandem.learner.config import LearnerScenario, MethodConfig
-from tandem.learner.critic import mc_loss, mean_score
+from tandem.learner.critic import bootstrap_value, expectile_loss, regression_loss, state_value
 from tandem.learner.episode import Bools, Episode
-from tandem.learner.improvement import imitation_loss, max_q_target
-from tandem.learner.networks import Array, Mlp, actor_chunk, init_ensemble, init_mlp
+from tandem.learner.improvement import LOSSES, imitate, sac
+from tandem.learner.networks import (
+    HEADS,
+    Array,
+    HeadConfig,
+    Mlp,
+    Params,
+    best_of_n,
+    ensemble_values,
+    init_ensemble,
+    init_mlp,
+)
+from tandem.learner.networks.mlp import OUTPUT_GAIN
 from tandem.learner.windows import Windows, make_windows
+
+Networks = dict[str, Params]  # by role: actor, critic, value, edit, temperature
+
+CRITICS, ACTORS = ("critic", "value"), ("actor", "edit", "temperature")  # two losses, two optimisers
+AVERAGED = ("actor", "edit", "critic")
 
 
 class LearnerState(NamedTuple):
     """All that gradient updates change. A checkpoint holds every leaf of it."""
 
-    actor: Mlp
-    actor_average: Mlp  # EMA of the actor: what is deployed and evaluated
-    critic: Mlp  # leading axis M; empty without a critic
-    actor_optimizer: optax.OptState
+    critics: Networks  # critic (leading axis M) and value, where the method has them
+    actors: Networks
+    average: Networks  # slow copies: what is deployed, evaluated and bootstrapped from; and the reference
     critic_optimizer: optax.OptState
+    actor_optimizer: optax.OptState
     updates: Array  # int32, gradient updates so far
 
 
@@ -38,6 +59,9 @@ class Batch(NamedTuple):
     valid: Array  # (B, h)
     human: Array  # (B, h)
     mc_return: Array  # (B,)
+    next_x: Array  # (B, O)
+    n_step_return: Array  # (B,)
+    bootstrap: Array  # (B,)
 
 
 @dataclass(frozen=True)
@@ -50,23 +74,55 @@ class Method:
 
     @property
     def has_critic(self) -> bool:
-        return self.config.learner.critic.kind == "mc"
+        return self.config.learner.critic.kind != "none"
+
+    @property
+    def compares(self) -> bool:
+        """The actor's loss asks whether the policy's chunk or the logged one scores higher."""
+        return self.config.learner.improvement.kind not in ("imitate", "awr")
+
+    @property
+    def n_axes(self) -> int:
+        return len(self.scenario.task.action_axes)
+
+    @cached_property
+    def actor(self) -> Actor:
+        observation = self.scenario.task.observation
+        return make_actor(self.config.learner.head, self.config.horizon, observation, self.n_axes)
+
+    @property
+    def target_entropy(self) -> float:
+        """Of soft actor-critic, for a whole chunk."""
+        return self.config.learner.improvement.sac.target_entropy_per_axis * self.config.horizon * self.n_axes
 
     def init(self, seed: int) -> LearnerState:
-        learner, task = self.config.learner, self.scenario.task
-        n_obs, n_chunk = len(task.observation), self.config.horizon * len(task.action_axes)
+        learner = self.config.learner
         generator = np.random.default_rng(seed)
-        head, critic_config = learner.head, learner.critic
-        # a small output layer: the first actions are near zero, which is "hold"
-        actor = init_mlp(generator, [n_obs, *head.hidden, n_chunk], head.layer_norm, output_gain=0.1)
-        sizes = [n_obs + n_chunk, *critic_config.hidden, 1]
-        critic = init_ensemble(generator, critic_config.members, sizes) if self.has_critic else []
+        n_obs, n_chunk = self.actor.n_observation, self.config.horizon * self.n_axes
+        actors: Networks = {"actor": self.actor.init(generator)}
+        critics: Networks = {}
+        if self.has_critic:
+            sizes = [n_obs + n_chunk, *learner.critic.hidden, 1]
+            critics["critic"] = init_ensemble(generator, learner.critic.members, sizes)
+        if learner.improvement.kind == "awr" or learner.critic.kind == "iql":
+            critics["value"] = init_ensemble(generator, 1, [n_obs, *learner.critic.hidden, 1])
+        if learner.improvement.kind in ("sac", "e2hil", "expo"):
+            actors["temperature"] = sac.init_temperature(learner.improvement.sac.initial_temperature)
+        if learner.improvement.kind == "expo":
+            edit = learner.improvement.edit
+            layers = init_mlp(
+                generator, [n_obs + n_chunk, *edit.hidden, 2 * n_chunk], edit.layer_norm, OUTPUT_GAIN
+            )
+            actors["edit"] = {"layers": layers}
+        average = {name: net for name, net in (actors | critics).items() if name in AVERAGED}
+        if learner.decision.with_reference:
+            average["reference"] = actors["actor"]
         return LearnerState(
-            actor=actor,
-            actor_average=jax.tree.map(jnp.copy, actor),
-            critic=critic,
-            actor_optimizer=self.optimizer().init(actor),
-            critic_optimizer=self.optimizer().init(critic),
+            critics=critics,
+            actors=actors,
+            average=jax.tree.map(jnp.copy, average),
+            critic_optimizer=self.optimizer().init(critics),
+            actor_optimizer=self.optimizer().init(actors),
             updates=jnp.int32(0),
         )
 
@@ -76,51 +132,193 @@ class Method:
     # ---- data
 
     def windows(self, episode: Episode) -> Windows:
-        cut = self.has_critic and self.config.learner.critic.cut_return_at_intervention
+        critic = self.config.learner.critic
         return make_windows(
-            episode, self.scenario.action_columns, self.config.horizon, self.config.discount, cut
+            episode,
+            self.scenario.action_columns,
+            self.config.horizon,
+            self.config.discount,
+            cut_return_at_intervention=self.has_critic and critic.cut_return_at_intervention,
+            bootstrap_steps=critic.td.steps,
+            timeout_is_terminal=critic.td.timeout_is_terminal,
         )
 
-    def eligible(self, episode: Episode, windows: Windows) -> Bools:
-        """(T,) rows of an episode that minibatches may hold."""
-        data = self.config.learner.improvement.data
-        if data == "demonstrations":
-            return np.full(episode.n_steps, episode.is_demonstration)
-        return windows.human[:, 0] if data == "human" else np.ones(episode.n_steps, bool)
+    @property
+    def draws(self) -> dict[str, float]:
+        """Sets of rows that a minibatch is drawn from, and their shares of it."""
+        prior = self.config.learner.replay.prior_share
+        if not self.has_critic:
+            return {"imitated": 1.0}
+        return {"prior": prior, "online": 1.0 - prior} if prior > 0 else {"all": 1.0}
+
+    @property
+    def imitates_other_rows(self) -> bool:
+        """The actor's minibatch is not the critic's."""
+        return self.has_critic and self.config.learner.improvement.data != "all"
+
+    @property
+    def row_sets(self) -> list[str]:
+        """Names of the sets that the buffer has to keep."""
+        return [*self.draws, *(["imitated"] if self.imitates_other_rows else [])]
+
+    def rows(self, episode: Episode, windows: Windows) -> dict[str, Bools]:
+        """Which rows (T,) of an episode belong to each set."""
+        everything = np.ones(episode.n_steps, bool)
+        human = windows.human[:, 0]
+        imitated = {
+            "all": everything,
+            "human": human,
+            "demonstrations": everything & episode.is_demonstration,
+            "success": everything & (episode.outcome == "success"),
+        }[self.config.learner.improvement.data]
+        # demonstrations and interventions; training episodes, interventions included (as HIL-SERL's two buffers)
+        online = everything & (not episode.is_demonstration)
+        return {"all": everything, "prior": human, "online": online, "imitated": imitated}
 
     def batch(self, arrays: Arrays, rows: Array, mean: Array, scale: Array) -> Batch:
         """Gathers buffer rows (B,)."""
+        names = ("chunk", "valid", "human", "mc_return", "n_step_return", "bootstrap")
         return Batch(
             x=(arrays["observation"][rows] - mean) * scale,
-            chunk=arrays["chunk"][rows],
-            valid=arrays["valid"][rows],
-            human=arrays["human"][rows],
-            mc_return=arrays["mc_return"][rows],
+            next_x=(arrays["next_observation"][rows] - mean) * scale,
+            **{name: arrays[name][rows] for name in names},
         )
 
     # ---- the policy
 
-    def act(self, actor: Mlp, x: Array) -> Array:
-        """Head and decision: normalised observations (B, O) -> chunks (B, h, A)."""
-        return actor_chunk(actor, x, self.config.learner.head.activation, self.config.horizon)
+    @cached_property
+    def deployed(self) -> tuple[str, HeadConfig]:
+        """Architecture and config of the policy file."""
+        learner, actor = self.config.learner, self.actor
+        if learner.decision.kind == "head":
+            return actor.architecture, actor.config
+        n_heads = 2 if learner.decision.with_reference else 1
+        proposer = {
+            "architecture": actor.architecture,
+            "config": actor.config.model_dump(),
+            "samples": learner.decision.samples,
+        }
+        config: dict[str, Any] = {
+            "horizon": self.config.horizon,
+            "heads": [proposer] * n_heads,
+            "edit": learner.improvement.edit.model_dump() if learner.improvement.kind == "expo" else None,
+            "critic": {
+                "hidden": learner.critic.hidden,
+                "activation": learner.critic.activation,
+                "layer_norm": True,
+                "members": learner.critic.members,
+                "aggregate": learner.decision.aggregate,
+            },
+        }
+        return "best_of_n", best_of_n.Config.model_validate(config)
+
+    def policy(self, networks: Networks) -> Params:
+        """The parameters of the deployed policy, of the learner's networks."""
+        if self.config.learner.decision.kind == "head":
+            return networks["actor"]
+        heads = [networks["actor"]]
+        if self.config.learner.decision.with_reference:
+            heads.append(networks["reference"])
+        members = range(self.config.learner.critic.members)
+        critics = [
+            {"layers": jax.tree.map(lambda array, m=member: array[m], networks["critic"])}
+            for member in members
+        ]
+        edit = {"edit": networks["edit"]} if "edit" in networks else {}
+        return {"actor": heads, "critic": critics, **edit}
+
+    def decide(self, networks: Networks, x: Array, noise: Array) -> Array:
+        """Head and decision: normalised observations (B, O), noise -> the chunks (B, h, A) that the arm executes."""
+        architecture, config = self.deployed
+        return HEADS[architecture].chunk(self.policy(networks), config, x, noise, {})
+
+    @property
+    def noise_size(self) -> int:
+        architecture, config = self.deployed
+        return HEADS[architecture].noise_size(config, self.n_axes)
 
     # ---- losses
 
-    def critic_loss(self, critic: Mlp, batch: Batch) -> tuple[Array, Array]:
-        """Loss and ranking score (B,) of the buffer's chunks."""
-        return mc_loss(critic, batch.x, batch.chunk, batch.mc_return)
+    def values(self, critic: Mlp, x: Array, chunk: Array) -> Array:
+        """Q (M, B)."""
+        return ensemble_values(critic, x, chunk, self.config.learner.critic.activation)
+
+    def state_value(self, value: Mlp, x: Array) -> Array:
+        """V (B,)."""
+        return state_value(value, x, self.config.learner.critic.activation)
+
+    def critic_loss(
+        self, trained: Networks, state: LearnerState, batch: Batch, key: Array
+    ) -> tuple[Array, Array]:
+        """Loss, and ranking score (B,) of the batch's chunks."""
+        settings = self.config.learner.critic
+        values = self.values(trained["critic"], batch.x, batch.chunk)
+        target = batch.mc_return
+        if settings.kind != "mc":
+            target = batch.n_step_return + batch.bootstrap * self._next_value(state, batch, key)
+        loss = regression_loss(values, lax.stop_gradient(target))
+        if "value" in trained:
+            value = self.state_value(trained["value"], batch.x)
+            if settings.kind == "mc":
+                loss += regression_loss(value[None], batch.mc_return)
+            else:
+                slow = self.values(state.average["critic"], batch.x, batch.chunk)
+                below = slow.min(axis=0) if settings.td.aggregate == "min" else slow.mean(axis=0)
+                loss += expectile_loss(value, below, settings.expectile)
+        return loss, lax.stop_gradient(values.mean(axis=0))
+
+    def _next_value(self, state: LearnerState, batch: Batch, key: Array) -> Array:
+        """Value (B,) of the state that a window leads to."""
+        settings = self.config.learner.critic
+        if settings.kind == "iql":
+            return self.state_value(state.critics["value"], batch.next_x)
+        key_noise, key_subset = jax.random.split(key)
+        # the policy as it is now, its choice and its value by the slow critic
+        live: Networks = {name: net for name, net in state.actors.items() if name in state.average}
+        networks = {**state.average, **live}
+        noise = jax.random.normal(key_noise, (len(batch.next_x), self.noise_size))
+        chunk = self.decide(networks, batch.next_x, noise)
+        values = self.values(state.average["critic"], batch.next_x, chunk)
+        return bootstrap_value(values, settings.td.subset, settings.td.aggregate, key_subset)
 
     def actor_loss(
-        self, actor: Mlp, critic: Mlp, batch: Batch, q_buffer: Array, warm_start: Array
+        self,
+        trained: Networks,
+        state: LearnerState,
+        batch: Batch,
+        q_buffer: Array,
+        key: Array,
+        warm_start: Array,
     ) -> tuple[Array, Array]:
         """Loss and policy_wins (B,). warm_start: imitate the batch, the critic is too young to rank."""
-        chunk = self.act(actor, batch.x)
-        improvement = self.config.learner.improvement
-        # the human's own steps only, when only those are to be imitated; a window may run into autonomous ones
-        mask = batch.human if improvement.data == "human" else batch.valid
-        if improvement.kind == "imitate":
-            return imitation_loss(chunk, batch.chunk, mask), jnp.zeros(len(chunk), bool)
-        q_policy = mean_score(critic, batch.x, jax.lax.stop_gradient(chunk))
-        target, policy_wins = max_q_target(q_policy, q_buffer, chunk, batch.chunk)
-        target = jnp.where(warm_start, batch.chunk, target)
-        return imitation_loss(chunk, target, mask), policy_wins
+        kind = self.config.learner.improvement.kind
+        arguments = (self, trained, state.critics, batch, q_buffer, key)
+        if kind == "imitate":
+            return imitate.loss(*arguments)
+        return lax.cond(warm_start, lambda: imitate.loss(*arguments), lambda: LOSSES[kind](*arguments))
+
+    def averages(self, state: LearnerState, networks: Networks, warm_start: Array) -> Networks:
+        """The slow copies after an update that made `networks`."""
+        learner = self.config.learner
+        bootstraps = learner.critic.kind in ("td", "iql")
+        critic_decay = learner.critic.td.target_decay if bootstraps else learner.ema
+        average: Networks = {}
+        for name, old in state.average.items():
+            if name == "reference":
+                continue
+            # a young average follows quickly, so that it forgets the random start
+            decay = jnp.minimum(
+                critic_decay if name == "critic" else learner.ema,
+                (1.0 + state.updates) / (10.0 + state.updates),
+            )
+            average[name] = _mix(decay, old, networks[name])
+        if "reference" in state.average:
+            # the actor at the end of the warm start, and no further
+            average["reference"] = _mix(
+                jnp.where(warm_start, 0.0, 1.0), state.average["reference"], average["actor"]
+            )
+        return average
+
+
+def _mix(decay: Array, old: Params, new: Params) -> Params:
+    return jax.tree.map(lambda a, b: decay * a + (1.0 - decay) * b, old, new)

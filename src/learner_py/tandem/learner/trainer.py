@@ -23,15 +23,14 @@ from tandem.learner.buffer import ReplayBuffer
 from tandem.learner.checkpoint import Position
 from tandem.learner.config import LearnerScenario
 from tandem.learner.episode import Episode, Floats
+from tandem.learner.golden import RANGE, golden_examples
 from tandem.learner.method import LearnerState, Method
-from tandem.learner.networks import mlp
 from tandem.learner.normalizer import Normalizer
 from tandem.learner.update import make_update
 from tandem.policy_file import PolicyHeader, WrittenFile, write_policy
 
 BLOCK = 64  # updates in one call: short enough that a status follows within a second
 GOLDEN_REAL, GOLDEN_RANDOM = 8, 8
-GOLDEN_RANGE = 3.0  # standard deviations
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class Trainer:
         self.git_revision = git_revision
         self.position = Position()
         self.normalizer: Normalizer | None = None
-        self.buffer = ReplayBuffer(scenario.method.learner.buffer_capacity)
+        self.buffer = ReplayBuffer(scenario.method.learner.replay.capacity, self.method.row_sets)
         self.buffer.allocate(
             len(scenario.task.observation), scenario.method.horizon, len(scenario.task.action_axes)
         )
@@ -65,7 +64,7 @@ class Trainer:
         self.state: LearnerState = self.method.init(scenario.run.seed)
         self._update = make_update(self.method)
         self._compiled_for = 0  # rows allocated
-        self._act = jax.jit(lambda actor, obs, mean, scale: self.method.act(actor, (obs - mean) * scale))
+        self._decide = jax.jit(self.method.decide)
         if scenario.run.demonstrations == 0:
             self.normalizer = Normalizer.identity(len(scenario.task.observation))
 
@@ -91,7 +90,7 @@ class Trainer:
                 f"{self.scenario.run.demonstrations} demonstrations came before it; the log is incomplete."
             )
         windows = self.method.windows(episode)
-        self.buffer.add(windows, self.method.eligible(episode, windows))
+        self.buffer.add(windows, self.method.rows(episode, windows))
         if episode.is_training:
             self.training_steps += episode.n_steps
             return
@@ -116,7 +115,7 @@ class Trainer:
     def updates_due(self, episode: Episode) -> int:
         """After ingest(episode): gradient updates that it pays for."""
         learner = self.scenario.method.learner
-        if self.buffer.n_rows == 0:
+        if not self._has_data():
             return 0
         if self.is_last_demonstration(episode):
             return learner.warm_start_updates
@@ -125,6 +124,11 @@ class Trainer:
         before = self.training_steps - episode.n_steps
         ratio = learner.updates_per_env_step
         return int(ratio * self.training_steps) - int(ratio * before)
+
+    def _has_data(self) -> bool:
+        """Minibatches can be drawn. Before the first training episode they are all prior data."""
+        needed = [name for name in self.method.row_sets if name != "online"]
+        return all(self.buffer.count(name) > 0 for name in needed)
 
     def train(self, episode: Episode, after_block: Callable[[Report], bool]) -> bool:
         """Does the updates that are due and moves the position past the episode.
@@ -162,7 +166,6 @@ class Trainer:
             self.state,
             self.buffer.arrays,
             self.buffer.rows,
-            jnp.int32(self.buffer.n_rows),
             jnp.asarray(normalizer.mean),
             jnp.asarray(normalizer.scale),
             jax.random.fold_in(self._key, episode),
@@ -174,14 +177,14 @@ class Trainer:
         self._compiled_for = self.buffer.allocated
 
         def share(wins: float, of: float) -> float:
-            return wins / of if of > 0 and self.method.has_critic else float("nan")
+            return wins / of if of > 0 and self.method.compares else float("nan")
 
         n = stop - start
         return Report(
             n_updates=n,
             seconds=time.perf_counter() - began,
             critic_loss=sums["critic_loss"] / max(n, 1),
-            actor_loss=sums["actor_loss"] / max(n, 1),
+            actor_loss=sums["actor_loss"] / max(sums["actor_updates"], 1.0),
             win_share=share(sums["human_wins"] + sums["autonomous_wins"], sums["human"] + sums["autonomous"]),
             win_share_human=share(sums["human_wins"], sums["human"]),
             win_share_autonomous=share(sums["autonomous_wins"], sums["autonomous"]),
@@ -189,29 +192,23 @@ class Trainer:
 
     # ---- files
 
-    def act(self, observation: Floats) -> Floats:
-        """Raw observations (B, O) -> chunks (B, h, A) of the deployed policy: the very function of the policy file."""
+    def act(self, observation: Floats, noise: Floats | None = None) -> Floats:
+        """Raw observations (B, O) -> chunks (B, h, A) of the deployed policy; noise (B, noise_size), default 0."""
         assert self.normalizer is not None, "there is no policy before the warm start"
-        return np.asarray(
-            self._act(self.state.actor_average, observation, self.normalizer.mean, self.normalizer.scale)
-        )
+        noise = np.zeros((len(observation), self.method.noise_size), np.float32) if noise is None else noise
+        return np.asarray(self._decide(self.state.average, self.normalizer.apply(observation), noise))
 
     def write_policy(self, path: Path) -> WrittenFile:
-        """Writes the deployed policy (the actor's average) with golden examples."""
+        """Writes the deployed policy (the averages) with golden examples."""
         assert self.normalizer is not None, "there is no policy before the warm start"
-        config = self.scenario.method
-        head = config.learner.head
-        network = mlp.Config(
-            hidden=tuple(head.hidden),
-            activation=head.activation,
-            layer_norm=head.layer_norm,
-            horizon=config.horizon,
-        )
+        config, task = self.scenario.method, self.scenario.task
+        architecture, network = self.method.deployed
         header = PolicyHeader(
+            architecture=architecture,
             config=network.model_dump(mode="json"),
-            observation=list(self.scenario.task.observation),
-            action=list(self.scenario.task.action_axes),
-            task=self.scenario.task.name,
+            observation=list(task.observation),
+            action=list(task.action_axes),
+            task=task.name,
             method=config.name,
             execution=config.execution.model_dump(),
             discount=config.discount,
@@ -221,23 +218,26 @@ class Trainer:
             episodes_trained_through=self.position.episodes_trained_through,
             git_revision=self.git_revision,
         )
-        observation = self._golden_observations()
-        golden = {"observation": observation, "chunk": self.act(observation)}
-        params = {"layers": self.state.actor_average}
-        return write_policy(path, header, params, self.normalizer.mean, self.normalizer.scale, golden)
+        params = jax.tree.map(np.asarray, self.method.policy(self.state.average))
+        mean, scale = self.normalizer.mean, self.normalizer.scale
+        generator = np.random.default_rng(self.position.version)
+        observation = self._golden_observations(generator)
+        golden = golden_examples(
+            architecture, network, params, len(task.action_axes), mean, scale, generator, observation
+        )
+        return write_policy(path, header, params, mean, scale, golden)
 
-    def _golden_observations(self) -> Floats:
+    def _golden_observations(self, generator: np.random.Generator) -> Floats:
         """(N, O) raw: some that were really seen, and random ones.
 
-        All within GOLDEN_RANGE standard deviations: a golden example tells whether two programs agree about network,
+        All within RANGE standard deviations: a golden example tells whether two programs agree about network,
         normaliser and order of names, to 1e-5; a force spike of 60 deviations tells only how float32 rounds.
         """
         assert self.normalizer is not None
         mean, scale = self.normalizer.mean, self.normalizer.scale
-        generator = np.random.default_rng(self.position.version)
         random = generator.normal(size=(GOLDEN_RANDOM, len(mean)))
         seen = (self.buffer.sample_observations(GOLDEN_REAL) - mean) * scale
-        golden = np.clip(np.concatenate([seen, random]), -GOLDEN_RANGE, GOLDEN_RANGE)
+        golden = np.clip(np.concatenate([seen, random]), -RANGE, RANGE)
         return (mean + golden / scale).astype(np.float32)
 
     def save(self, path: Path) -> None:

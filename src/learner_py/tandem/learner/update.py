@@ -14,67 +14,107 @@ import jax.numpy as jnp
 import optax
 from jax import lax
 
-from tandem.learner.buffer import Arrays
-from tandem.learner.method import LearnerState, Method
+from tandem.learner.buffer import Arrays, RowSet, RowSets
+from tandem.learner.method import LearnerState, Method, Networks
 from tandem.learner.networks import Array
 
 Sums = dict[str, Array]  # sums over the updates of one call, float32
 Update = Callable[..., tuple[LearnerState, Sums]]
 
-SUM_NAMES = ("critic_loss", "actor_loss", "human", "autonomous", "human_wins", "autonomous_wins")
+SUM_NAMES = (
+    "critic_loss",
+    "actor_loss",
+    "actor_updates",
+    "human",
+    "autonomous",
+    "human_wins",
+    "autonomous_wins",
+)
 
 
 def make_update(method: Method) -> Update:
-    """Returns update(state, arrays, rows, n_rows, mean, scale, key, start, stop, warm_start) -> (state, sums).
+    """Returns update(state, arrays, sets, mean, scale, key, start, stop, warm_start) -> (state, sums).
 
-    arrays, rows, n_rows: the buffer's. mean, scale (O,): the normaliser's. key: of the episode. Runs updates
+    arrays, sets: the buffer's. mean, scale (O,): the normaliser's. key: of the episode. Runs updates
     start .. stop-1. The state is donated: the caller's old one is gone afterwards.
     """
     learner = method.config.learner
+    replay = learner.replay
     optimizer = method.optimizer()
 
+    def rows_of(sets: RowSets, key: Array) -> Array:
+        """Rows (B,) for critic and actor."""
+        drawn, left = [], replay.batch
+        for index, (name, share) in enumerate(method.draws.items()):
+            n = left if index == len(method.draws) - 1 else round(share * replay.batch)
+            left -= n
+            rows = _draw(sets[name], n, jax.random.fold_in(key, index), replay.half_life)
+            if name == "online":  # nothing has come yet, in the warm start
+                rows = jnp.where(sets["online"].n > 0, rows, _draw(sets["prior"], n, key, 0))
+            drawn.append(rows)
+        return jnp.concatenate(drawn)
+
     def one_update(
-        state: LearnerState, arrays: Arrays, rows: Array, mean: Array, scale: Array, warm_start: Array
+        state: LearnerState,
+        arrays: Arrays,
+        sets: RowSets,
+        mean: Array,
+        scale: Array,
+        key: Array,
+        warm_start: Array,
     ) -> tuple[LearnerState, Sums]:
-        batch = method.batch(arrays, rows, mean, scale)
+        key_rows, key_critic, key_imitated, key_actor = jax.random.split(key, 4)
+        batch = method.batch(arrays, rows_of(sets, key_rows), mean, scale)
 
         # critic and actor step from the same parameters: the critic's forward pass is also the ranking of the buffer
-        critic, critic_optimizer = state.critic, state.critic_optimizer
-        critic_loss, q_buffer = jnp.float32(jnp.nan), jnp.zeros(len(rows))
+        critics, critic_optimizer = state.critics, state.critic_optimizer
+        critic_loss, q_buffer = jnp.float32(jnp.nan), jnp.zeros(replay.batch)
         if method.has_critic:
             (critic_loss, q_buffer), gradient = jax.value_and_grad(method.critic_loss, has_aux=True)(
-                critic, batch
+                state.critics, state, batch, key_critic
             )
             step, critic_optimizer = optimizer.update(gradient, critic_optimizer)
-            critic = optax.apply_updates(critic, step)
+            critics = optax.apply_updates(critics, step)
 
-        (actor_loss, wins), gradient = jax.value_and_grad(method.actor_loss, has_aux=True)(
-            state.actor, state.critic, batch, q_buffer, warm_start
+        if method.imitates_other_rows:
+            rows = _draw(sets["imitated"], replay.batch, key_imitated, replay.half_life)
+            batch = method.batch(arrays, rows, mean, scale)
+
+        def improve() -> tuple[Networks, optax.OptState, Array, Array]:
+            (loss, wins), gradient = jax.value_and_grad(method.actor_loss, has_aux=True)(
+                state.actors, state, batch, q_buffer, key_actor, warm_start
+            )
+            step, actor_optimizer = optimizer.update(gradient, state.actor_optimizer)
+            return optax.apply_updates(state.actors, step), actor_optimizer, loss, wins
+
+        def rest() -> tuple[Networks, optax.OptState, Array, Array]:
+            return state.actors, state.actor_optimizer, jnp.float32(0), jnp.zeros(replay.batch, bool)
+
+        every = learner.updates_per_actor_update
+        is_due = (state.updates % every == every - 1) | warm_start
+        actors, actor_optimizer, actor_loss, wins = (
+            improve() if every == 1 else lax.cond(is_due, improve, rest)
         )
-        step, actor_optimizer = optimizer.update(gradient, state.actor_optimizer)
-        actor = optax.apply_updates(state.actor, step)
-
-        # a young average follows quickly, so that it forgets the random start
-        decay = jnp.minimum(learner.ema, (1.0 + state.updates) / (10.0 + state.updates))
-        average = jax.tree.map(lambda old, new: decay * old + (1.0 - decay) * new, state.actor_average, actor)
 
         human = batch.human[:, 0]
+        counted = jnp.float32(1) if every == 1 else is_due.astype(jnp.float32)
         sums = {
             "critic_loss": critic_loss / learner.critic.members,
             "actor_loss": actor_loss,
-            "human": human.sum(dtype=jnp.float32),
-            "autonomous": (~human).sum(dtype=jnp.float32),
+            "actor_updates": counted,
+            "human": counted * human.sum(),
+            "autonomous": counted * (~human).sum(),
             "human_wins": (wins & human).sum(dtype=jnp.float32),
             "autonomous_wins": (wins & ~human).sum(dtype=jnp.float32),
         }
-        new = LearnerState(actor, average, critic, actor_optimizer, critic_optimizer, state.updates + 1)
+        average = method.averages(state, {**actors, **critics}, warm_start)
+        new = LearnerState(critics, actors, average, critic_optimizer, actor_optimizer, state.updates + 1)
         return new, sums
 
     def update(
         state: LearnerState,
         arrays: Arrays,
-        rows: Array,
-        n_rows: Array,
+        sets: RowSets,
         mean: Array,
         scale: Array,
         key: Array,
@@ -84,13 +124,23 @@ def make_update(method: Method) -> Update:
     ) -> tuple[LearnerState, Sums]:
         def body(index: Array, carry: tuple[LearnerState, Sums]) -> tuple[LearnerState, Sums]:
             state, total = carry
-            # the remainder favours low rows by n_rows / 2^32, which is nothing
-            bits = jax.random.bits(jax.random.fold_in(key, index), (learner.batch,), jnp.uint32)
-            drawn = rows[bits % n_rows.astype(jnp.uint32)]
-            state, sums = one_update(state, arrays, drawn, mean, scale, warm_start)
+            state, sums = one_update(
+                state, arrays, sets, mean, scale, jax.random.fold_in(key, index), warm_start
+            )
             return state, jax.tree.map(jnp.add, total, sums)
 
         zero = {name: jnp.float32(0) for name in SUM_NAMES}
         return lax.fori_loop(start, stop, body, (state, zero))
 
     return jax.jit(update, donate_argnums=0)
+
+
+def _draw(rows: RowSet, n: int, key: Array, half_life: int) -> Array:
+    """n rows of a set, each as likely; with a half-life one that came so many rows earlier is half as likely."""
+    if half_life == 0:
+        # the remainder favours low rows by count / 2^32, which is nothing
+        return rows.listed[jax.random.bits(key, (n,), jnp.uint32) % rows.n.astype(jnp.uint32)]
+    count = rows.n.astype(jnp.float32)
+    oldest = 1.0 - 2.0 ** (-count / half_life)
+    age = -half_life * jnp.log2(1.0 - oldest * jax.random.uniform(key, (n,)))
+    return rows.listed[jnp.clip((count - 1.0 - age).astype(jnp.int32), 0, rows.n - 1)]

@@ -4,6 +4,8 @@
     valid[t]    which of them exist; the tail is padded by "hold" (zero delta, same gripper). A critic sees the padding,
                 because the robot does hold; imitation masks it, because nobody chose it.
     G[t]        sum over k < T-t of gamma^k r[t+k]; a time-out earns 0 and nothing is bootstrapped
+    R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], and what the value
+                of next_observation counts: gamma^min(n, T-t), 0 where the episode truly ended. A time-out is no end.
 
 A window never reaches into another episode, because it is cut out of one.
 """
@@ -31,18 +33,25 @@ class Windows:
     valid: Bools  # (T, h)
     human: Bools  # (T, h) valid and chosen by a human: engaged, or a demonstration
     mc_return: Floats  # (T,) G, with the cut when it is asked for
-    next_observation: Floats  # (T, O) raw, after the last valid step of the window
-    terminated: Bools  # (T,) the window's last valid step ended the episode by success or failure
-    truncated: Bools  # (T,) ... by time-out: a TD method bootstraps through it
+    next_observation: Floats  # (T, O) raw, after the last valid of the n steps
+    n_step_return: Floats  # (T,) R
+    bootstrap: Floats  # (T,) b
 
 
 def make_windows(
-    episode: Episode, columns: Sequence[int], horizon: int, discount: float, cut_return_at_intervention: bool
+    episode: Episode,
+    columns: Sequence[int],
+    horizon: int,
+    discount: float,
+    cut_return_at_intervention: bool = False,
+    bootstrap_steps: int = 1,
+    timeout_is_terminal: bool = False,
 ) -> Windows:
     """Cuts a learnable episode into windows. `columns`: the active axes among the 7 numbers of an action.
 
     cut_return_at_intervention: autonomous steps that a human takeover follows later in the episode earn G = 0 (the
     rescue counts as failure of what came before); human steps, and autonomous ones after the last takeover, keep G.
+    bootstrap_steps: n. timeout_is_terminal: b is 0 after a time-out too, as in HIL-SERL.
     """
     if not episode.is_learnable:
         raise ValueError(
@@ -64,16 +73,19 @@ def make_windows(
     if cut_return_at_intervention:
         returns = np.where(~by_human & followed_by_intervention(by_human), 0.0, returns)
 
-    window_end = last[:, -1]
+    ends = np.minimum(np.arange(length) + bootstrap_steps, length)  # (T,) the step after the last of the n
+    over = episode.terminated[ends - 1] | (episode.truncated[ends - 1] & timeout_is_terminal)
+    decay = discount ** (ends - np.arange(length))
+    earned = np.append(discounted_returns(episode.reward, discount), 0.0)
     return Windows(
         observation=episode.observation,
         chunk=chunk.astype(np.float32),
         valid=valid,
         human=valid & by_human[last],
         mc_return=returns.astype(np.float32),
-        next_observation=episode.next_observation[window_end],
-        terminated=episode.terminated[window_end],
-        truncated=episode.truncated[window_end],
+        next_observation=episode.next_observation[ends - 1],
+        n_step_return=(earned[:-1] - decay * earned[ends]).astype(np.float32),
+        bootstrap=np.where(over, 0.0, decay).astype(np.float32),
     )
 
 

@@ -4,6 +4,7 @@
     init         (generator, config, O, A) -> params: dicts and lists of arrays, whose path is the tensor's name
     noise_size   (config, A) -> how many normal numbers a chunk takes
     chunk        (params, config, x (B, O) normalised, noise (B, noise_size), images) -> (B, h, A); to be jitted
+    imitation_error  (params, config, x, target (B, h, A), key) -> (B, h, A): what imitation makes small (single heads)
 
 The C++ runtime computes the same from a policy file. A new head is a module here and its name in SINGLE_HEADS.
 """

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from pydantic import Field, model_validator
@@ -101,3 +102,9 @@ def chunk(params: Params, config: Config, x: Array, noise: Array, images: Images
     if config.output == "tanh":
         return jnp.tanh(action)
     return action * params["output"]["scale"] + params["output"]["offset"]
+
+
+def imitation_error(params: Params, config: Config, x: Array, target: Array, key: Array) -> Array:
+    """Squared error (B, h, A) of the chunk; the latent is as when acting. No images."""
+    noise = jax.random.normal(key, (len(x), noise_size(config, target.shape[2])))
+    return jnp.square(chunk(params, config, x, noise, {}) - target)

@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -46,7 +47,9 @@ class TransformerConfig(transformer.Stack):
 
 
 AnyConfig = MlpConfig | TransformerConfig
-Velocity = Callable[[Array, Array], Array]  # (action (B, h, A), phi (F)) -> (B, h, A), at given observations
+Velocity = Callable[
+    [Array, Array], Array
+]  # (action (B, h, A), phi (F) or (F, B)) -> (B, h, A), at given observations
 Config = Annotated[AnyConfig, Field(discriminator="field")]
 
 
@@ -86,6 +89,23 @@ def chunk(params: Params, config: AnyConfig, x: Array, noise: Array, images: Ima
     return jnp.clip(end, -1.0, 1.0)
 
 
+def imitation_error(params: Params, config: AnyConfig, x: Array, target: Array, key: Array) -> Array:
+    """Flow matching (B, h, A): at a = (1 - t) noise + t target, t uniform, the velocity should be target - noise."""
+    make_field: Any = _mlp_field if isinstance(config, MlpConfig) else _transformer_field
+    velocity: Velocity = make_field(params, config, x)
+    key_noise, key_time = jax.random.split(key)
+    noise = jax.random.normal(key_noise, target.shape)
+    time = jax.random.uniform(key_time, (len(x),))
+    action = noise + time[:, None, None] * (target - noise)
+    return jnp.square(velocity(action, features_at(time, config.time_features)) - (target - noise))
+
+
+def features_at(time: Array, size: int) -> Array:
+    """phi (F, B) at times (B,)."""
+    angle = math.pi * jnp.arange(1, size // 2 + 1)[:, None] * time
+    return jnp.concatenate([jnp.cos(angle), jnp.sin(angle)])
+
+
 def time_features(steps: int, size: int) -> np.ndarray:
     """phi of every step's time k / K: (K, F)."""
     angle = math.pi * np.outer(np.arange(steps) / steps, np.arange(1, size // 2 + 1))
@@ -94,7 +114,7 @@ def time_features(steps: int, size: int) -> np.ndarray:
 
 def _mlp_field(params: Params, config: MlpConfig, x: Array) -> Velocity:
     def velocity(action: Array, phi: Array) -> Array:
-        phis = jnp.broadcast_to(phi[:, None], (len(phi), len(x)))
+        phis = phi if phi.ndim == 2 else jnp.broadcast_to(phi[:, None], (len(phi), len(x)))
         inputs = jnp.concatenate([x.T, action.reshape(len(x), -1).T, phis])  # (O + h A + F, B)
         return forward(params["layers"], inputs, config.activation).T.reshape(action.shape)
 
@@ -107,7 +127,8 @@ def _transformer_field(params: Params, config: TransformerConfig, x: Array) -> V
     memory = transformer.encode(params["encoder"], config, tokens, position)
 
     def velocity(action: Array, phi: Array) -> Array:
-        y = dense(params["action"], action) + query + params["time"]["weight"] @ phi
+        phis = (params["time"]["weight"] @ phi).T  # (d) or (B, d)
+        y = dense(params["action"], action) + query + (phis[:, None] if phis.ndim == 2 else phis)
         y = transformer.decode(params["decoder"], config, y, query, memory, position)
         return dense(params["output"], transformer.layer_norm(params["norm"], y))
 

@@ -5,8 +5,10 @@ chunk = tanh(mean + exp(clip(log_std)) noise)        zero noise: the mean action
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -21,6 +23,8 @@ from tandem.learner.networks.base import (
     Params,
 )
 from tandem.learner.networks.mlp import OUTPUT_GAIN, Mlp, forward, init_mlp
+
+EDGE = 0.999  # an action at the limit lies infinitely far out before tanh; this is where imitation takes it
 
 
 class Config(HeadConfig):
@@ -47,6 +51,38 @@ def chunk(params: Params, config: Config, x: Array, noise: Array, images: Images
     limits = (config.log_std_min, config.log_std_max)
     output = squashed_sample(params["layers"], config.activation, limits, x, noise)
     return output.reshape(len(x), config.horizon, -1)
+
+
+def imitation_error(params: Params, config: Config, x: Array, target: Array, key: Array) -> Array:
+    """Negative log-likelihood (B, h, A) of the target, less its constant."""
+    mean, log_std = _moments(params, config, x)
+    raw = jnp.arctanh(jnp.clip(target.reshape(len(x), -1), -EDGE, EDGE))
+    error = log_std + 0.5 * jnp.square((raw - mean) * jnp.exp(-log_std))
+    return error.reshape(target.shape)
+
+
+def sample_with_log_prob(params: Params, config: HeadConfig, x: Array, key: Array) -> tuple[Array, Array]:
+    """A chunk (B, h, A) and its log-density (B,), both with gradients. config: this head's."""
+    assert isinstance(config, Config)
+    mean, log_std = _moments(params, config, x)
+    chunk, log_prob = squashed_log_prob(mean, log_std, jax.random.normal(key, mean.shape))
+    return chunk.reshape(len(x), config.horizon, -1), log_prob
+
+
+def squashed_log_prob(mean: Array, log_std: Array, noise: Array) -> tuple[Array, Array]:
+    """tanh(mean + std noise) (B, n), and the log-density (B,) of that point."""
+    raw = mean + jnp.exp(log_std) * noise
+    normal = -0.5 * jnp.square(noise) - log_std - 0.5 * math.log(2.0 * math.pi)
+    stretch = 2.0 * (
+        math.log(2.0) - raw - jax.nn.softplus(-2.0 * raw)
+    )  # log(1 - tanh(raw)^2), without cancelling
+    return jnp.tanh(raw), (normal - stretch).sum(axis=-1)
+
+
+def _moments(params: Params, config: Config, x: Array) -> tuple[Array, Array]:
+    """Mean and log standard deviation before tanh, each (B, h A)."""
+    mean, raw = jnp.split(forward(params["layers"], x.T, config.activation).T, 2, axis=1)
+    return mean, jnp.clip(raw, config.log_std_min, config.log_std_max)
 
 
 def squashed_sample(

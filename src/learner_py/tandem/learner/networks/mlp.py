@@ -60,6 +60,11 @@ def chunk(params: Params, config: Config, x: Array, noise: Array, images: Images
     return actor_chunk(params["layers"], x, config.activation, config.horizon)
 
 
+def imitation_error(params: Params, config: Config, x: Array, target: Array, key: Array) -> Array:
+    """Squared error (B, h, A) of the chunk."""
+    return jnp.square(chunk(params, config, x, jnp.zeros((len(x), 0)), {}) - target)
+
+
 # ---- layers
 
 
