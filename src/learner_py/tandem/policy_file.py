@@ -148,6 +148,28 @@ def named_arrays(tree: Any, name: str = "") -> dict[str, Array]:
     return named
 
 
+def network(tensors: Mapping[str, Array], architecture: str) -> Any:
+    """The network in the tensors of a policy file: names back to dicts and lists; the inverse of `named_arrays`."""
+    tree: dict[str, Any] = {}
+    prefix = "" if architecture == "best_of_n" else "actor."
+    for name, array in tensors.items():
+        if name.startswith(("normalizer.", "golden.")):
+            continue
+        *path, last = name.removeprefix(prefix).split(".")
+        node = tree
+        for key in path:
+            node = node.setdefault(key, {})
+        node[last] = np.asarray(array, np.float32)
+
+    def lists(node: Any) -> Any:
+        if not isinstance(node, dict):
+            return node
+        parts = {key: lists(part) for key, part in node.items()}
+        return [parts[str(i)] for i in range(len(parts))] if all(key.isdigit() for key in parts) else parts
+
+    return lists(tree)
+
+
 def rounded(params: Any) -> Any:
     """The same network in float32 with its matrices rounded to bfloat16: what a bfloat16 file computes."""
 

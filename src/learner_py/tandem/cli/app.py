@@ -6,7 +6,21 @@ import sys
 import typer
 
 from tandem import __version__
-from tandem.cli import bench, command, demo, doctor, evaluate, log, policy, replay, table, teleop, test, train
+from tandem.cli import (
+    bench,
+    command,
+    demo,
+    diagnose,
+    doctor,
+    evaluate,
+    log,
+    policy,
+    replay,
+    table,
+    teleop,
+    test,
+    train,
+)
 
 app = typer.Typer(
     name="tandem",
@@ -37,6 +51,7 @@ def _root(
 app.command("train")(train.train)
 app.command("eval")(evaluate.evaluate)
 app.command("demo")(demo.demo)
+app.command("diagnose")(diagnose.diagnose)
 app.command("test", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(test.test)
 app.add_typer(bench.app, name="bench")
 app.command("table")(table.table)

@@ -105,6 +105,7 @@ class Critic(Strict):
     members: int = Field(ge=1, le=32)
     hidden: Widths
     activation: Activation
+    weight_decay: float = Field(ge=0, le=100)
     cut_return_at_intervention: bool
     td: TdCritic
     expectile: float = Field(gt=0, lt=1)

@@ -121,13 +121,19 @@ class Method:
             critics=critics,
             actors=actors,
             average=jax.tree.map(jnp.copy, average),
-            critic_optimizer=self.optimizer().init(critics),
-            actor_optimizer=self.optimizer().init(actors),
+            critic_optimizer=self.critic_optimizer.init(critics),
+            actor_optimizer=self.actor_optimizer.init(actors),
             updates=jnp.int32(0),
         )
 
-    def optimizer(self) -> optax.GradientTransformation:
+    @property
+    def actor_optimizer(self) -> optax.GradientTransformation:
         return optax.adam(self.config.learner.learning_rate)
+
+    @property
+    def critic_optimizer(self) -> optax.GradientTransformation:
+        learner = self.config.learner
+        return optax.adamw(learner.learning_rate, weight_decay=learner.critic.weight_decay)
 
     # ---- data
 

@@ -190,6 +190,28 @@ class Trainer:
             win_share_autonomous=share(sums["autonomous_wins"], sums["autonomous"]),
         )
 
+    def relearn(self, updates: int) -> None:
+        """So many updates on what the buffer holds, as if an episode had paid for them; for questions about a run."""
+        for start in range(0, updates, BLOCK):
+            self._run(0, start, min(start + BLOCK, updates), False)
+
+    def score(self, observation: Floats, chunk: Floats) -> Floats:
+        """The ensemble's mean (B,) of chunks (B, h, A) at raw observations (B, O); the slow critic's."""
+        assert self.normalizer is not None, "there is no critic before the warm start"
+        return self.member_scores(observation, chunk).mean(axis=0)
+
+    def member_scores(self, observation: Floats, chunk: Floats) -> Floats:
+        """The same of each member (M, B)."""
+        assert self.normalizer is not None, "there is no critic before the warm start"
+        x = jnp.asarray(self.normalizer.apply(observation))
+        return np.asarray(self.method.values(self.state.average["critic"], x, jnp.asarray(chunk)))
+
+    def sample(self, observation: Floats) -> Floats:
+        """One chunk (B, h, A) of the actor alone at each raw observation (B, O)."""
+        assert self.normalizer is not None, "there is no policy before the warm start"
+        x = jnp.asarray(self.normalizer.apply(observation))
+        return np.asarray(self.method.actor.sample(self.state.average["actor"], x, self._key))
+
     # ---- files
 
     def act(self, observation: Floats, noise: Floats | None = None) -> Floats:

@@ -40,7 +40,6 @@ def make_update(method: Method) -> Update:
     """
     learner = method.config.learner
     replay = learner.replay
-    optimizer = method.optimizer()
 
     def rows_of(sets: RowSets, key: Array) -> Array:
         """Rows (B,) for critic and actor."""
@@ -73,7 +72,7 @@ def make_update(method: Method) -> Update:
             (critic_loss, q_buffer), gradient = jax.value_and_grad(method.critic_loss, has_aux=True)(
                 state.critics, state, batch, key_critic
             )
-            step, critic_optimizer = optimizer.update(gradient, critic_optimizer)
+            step, critic_optimizer = method.critic_optimizer.update(gradient, critic_optimizer, critics)
             critics = optax.apply_updates(critics, step)
 
         if method.imitates_other_rows:
@@ -84,7 +83,7 @@ def make_update(method: Method) -> Update:
             (loss, wins), gradient = jax.value_and_grad(method.actor_loss, has_aux=True)(
                 state.actors, state, batch, q_buffer, key_actor, warm_start
             )
-            step, actor_optimizer = optimizer.update(gradient, state.actor_optimizer)
+            step, actor_optimizer = method.actor_optimizer.update(gradient, state.actor_optimizer)
             return optax.apply_updates(state.actors, step), actor_optimizer, loss, wins
 
         def rest() -> tuple[Networks, optax.OptState, Array, Array]:
