@@ -41,7 +41,14 @@ stiffness:
 clip: 1e-2
 """
 OPERATOR = "reaction_delay: 0.2\nskilled: true\n"
-METHOD = "name: tandem\ndiscount: 0.98\nhorizon: 1\nlearner:\n  batch: 256\n"
+METHOD = """\
+discount: 0.98
+horizon: 1
+learner:
+  batch: 256
+  head:
+    kind: mlp
+"""
 
 
 @pytest.fixture
@@ -53,8 +60,9 @@ def config(tmp_path: Path) -> Path:
         "tasks/peg.yaml": TASK,
         "controller.yaml": CONTROLLER,
         "operator.yaml": OPERATOR,
-        "methods/tandem.yaml": METHOD,
-        "methods/mcbc.yaml": METHOD.replace("tandem", "mcbc"),
+        "method.yaml": METHOD,
+        "methods/tandem.yaml": "name: tandem\nlearner:\n  head: {kind: flow}\n",
+        "methods/mcbc.yaml": "name: mcbc\n",
     }
     for name, text in files.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -138,3 +138,44 @@ def test_first_difference_names_key_and_both_values(config: Path) -> None:
     del other.data["method"]["learner"]["batch"]
     other.data["method"]["learner"]["size"] = 1
     assert one.first_difference(other) == "method.learner.batch is 256 here and absent there"
+
+
+def test_a_method_is_the_common_file_with_its_own_lines_laid_over(config: Path) -> None:
+    scenario = composed(config)
+    learner = scenario.data["method"]["learner"]
+    assert scenario.data["method"]["name"] == "tandem"
+    assert learner == {"batch": 256, "head": {"kind": "flow"}}
+    assert str(scenario.origins["method.learner.head.kind"]) == "config/methods/tandem.yaml:3"
+    assert str(scenario.origins["method.name"]) == "config/methods/tandem.yaml:1"
+    assert str(scenario.origins["method.learner.batch"]) == "config/method.yaml:4"
+    mcbc = compose(config, "peg", "mcbc", {})
+    assert mcbc.data["method"]["learner"]["head"]["kind"] == "mlp"
+    assert str(mcbc.origins["method.learner.head.kind"]) == "config/method.yaml:6"
+
+
+@pytest.mark.parametrize(
+    ("lines", "sentence"),
+    [
+        (
+            "name: tandem\nlearner:\n  batsh: 1\n",
+            "config/methods/tandem.yaml:3: there is no key method.learner.batsh; the nearest is method.learner.batch.",
+        ),
+        (
+            "name: tandem\nhorizont: 4\n",
+            "config/methods/tandem.yaml:2: there is no key method.horizont; the nearest is method.horizon.",
+        ),
+        ("horizon: 4\n", "config/methods/tandem.yaml: name is missing; it must be tandem."),
+    ],
+)
+def test_a_method_file_may_not_say_what_the_common_file_does_not(
+    config: Path, lines: str, sentence: str
+) -> None:
+    (config / "methods" / "tandem.yaml").write_text(lines)
+    assert refusal(config) == sentence
+
+
+def test_an_error_in_a_methods_own_line_points_to_it(config: Path) -> None:
+    scenario = composed(config)
+    kind = next(i for i, line in enumerate(scenario.dumps().splitlines(), 1) if "kind: flow" in line)
+    text = f"/tmp/x/scenario.yaml:{kind}: method.learner.head.kind is 'flow'; it must be mlp."
+    assert scenario.explain(text).startswith("config/methods/tandem.yaml:3: method.learner.head.kind")
