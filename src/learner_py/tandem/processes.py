@@ -10,8 +10,9 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from tandem.run_folder import ROOT
 
@@ -77,6 +78,8 @@ class Child:
         parent = os.getpid()
 
         def in_child() -> None:
+            # A worker of Ray blocks SIGINT, and a blocked signal stays blocked in children.
+            signal.pthread_sigmask(signal.SIG_SETMASK, ())
             _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
             if os.getppid() != parent:  # it died before prctl
                 os._exit(1)
@@ -136,17 +139,38 @@ class Child:
 
     def death(self) -> str:
         """A sentence with its name, exit code and last lines."""
-        code = self.poll()
-        how = (
-            f"was killed by {signal.Signals(-code).name}"
-            if code is not None and code < 0
-            else f"ended with exit code {code}"
-        )
+        how = ending(self.poll())
         lines = self.last_lines()
         said = (
             " Its last lines:\n" + "\n".join("  " + line for line in lines) if lines else " It wrote nothing."
         )
         return f"The {self.name} {how}.{said}\nAll of its output: {self.out}"
+
+
+def ending(code: int | None) -> str:
+    """How a program ended, as the rest of a sentence."""
+    if code is not None and code < 0:
+        return f"was killed by {signal.Signals(-code).name}"
+    return f"ended with exit code {code}"
+
+
+@contextlib.contextmanager
+def interruptible() -> Iterator[Callable[[], int]]:
+    """Counts SIGINT, SIGTERM and SIGHUP instead of dying of them; gives the counter."""
+    count = 0
+
+    def handler(_signal: int, _frame: Any) -> None:
+        nonlocal count
+        count += 1
+
+    old = {
+        number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield lambda: count
+    finally:
+        for number, previous in old.items():
+            signal.signal(number, previous)
 
 
 def missing_program(command: Command) -> str | None:

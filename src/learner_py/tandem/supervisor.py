@@ -15,7 +15,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import lcm
 from rich.console import Console
@@ -69,7 +68,7 @@ class Settings:
 def train(settings: Settings, console: Console) -> int:
     """Runs the training to its end. Returns the exit code; failures are printed as sentences."""
     try:
-        with _interruptible() as interrupted:
+        with processes.interruptible() as interrupted:
             return _Supervisor(settings, console, interrupted).run()
     except (TrainingError, RunFolderError, EvaluationError) as error:
         _complain(str(error))
@@ -92,25 +91,6 @@ def train(settings: Settings, console: Console) -> int:
 
 def _complain(sentence: str) -> None:
     print(f"tandem: {sentence}", file=sys.stderr, flush=True)
-
-
-@contextlib.contextmanager
-def _interruptible() -> Iterator[Callable[[], int]]:
-    """Counts SIGINT, SIGTERM and SIGHUP instead of dying of them; gives the counter."""
-    count = 0
-
-    def handler(_signal: int, _frame: Any) -> None:
-        nonlocal count
-        count += 1
-
-    old = {
-        number: signal.signal(number, handler) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    }
-    try:
-        yield lambda: count
-    finally:
-        for number, previous in old.items():
-            signal.signal(number, previous)
 
 
 def open_run(settings: Settings, console: Console) -> bool:

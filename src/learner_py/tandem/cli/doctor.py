@@ -93,6 +93,18 @@ def _versions() -> list[Finding]:
     return found
 
 
+def _ray() -> list[Finding]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return [Finding("Ray", "ok", f"{version('ray')}: table and ablate can run on it by --ray")]
+    except PackageNotFoundError:
+        text = (
+            "not installed: table and ablate run on this machine only; the first call with --ray installs it"
+        )
+        return [Finding("Ray", "note", text)]
+
+
 def _lcm() -> list[Finding]:
     from tandem.processes import MULTICAST_GROUP, free_lcm_url
 
@@ -233,6 +245,7 @@ def _disk() -> list[Finding]:
 CHECKS: list[Callable[[], list[Finding]]] = [
     _programs,
     _versions,
+    _ray,
     _lcm,
     _socket_buffers,
     _real_time,
