@@ -23,6 +23,7 @@ COMMANDS = [
     "bench sim",
     "bench loop",
     "table",
+    "ablate",
     "doctor",
     "log",
     "log info",

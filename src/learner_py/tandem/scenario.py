@@ -186,7 +186,7 @@ def compose(
     """Joins the files below `config`; `run` holds values from the command's options (None = not given)."""
     files = {
         "run": config / "run.yaml",
-        "task": _choice(config / "tasks", task, "task"),
+        "task": choose(config / "tasks", task, "task"),
         "controller": config / "controller.yaml",
         "operator": config / "operator.yaml",
         "method": config / "method.yaml",
@@ -211,7 +211,7 @@ def compose(
 
 def _change_method(scenario: Scenario, config: Path, method: str) -> None:
     """Lays config/methods/METHOD.yaml over what all methods share. Only `name` may be new."""
-    file = _choice(config / "methods", method, "method")
+    file = choose(config / "methods", method, "method")
     changes, origins = read_yaml(file, _display(file, config))
     for key, value in {"name": None, **dict(_leaves(changes, ""))}.items():
         place = origins.get(key, Origin(_display(file, config), 1))
@@ -307,7 +307,8 @@ def names(folder: Path) -> list[str]:
     return sorted(file.stem for file in folder.glob("*.yaml"))
 
 
-def _choice(folder: Path, name: str, what: str) -> Path:
+def choose(folder: Path, name: str, what: str) -> Path:
+    """The scenario file of that name. @raises ScenarioError with the names that there are."""
     known = names(folder)
     if name in known:
         return folder / f"{name}.yaml"
@@ -317,10 +318,13 @@ def _choice(folder: Path, name: str, what: str) -> Path:
 
 
 def _origins(text: str, display: str) -> dict[str, Origin]:
-    """Dotted key -> origin, of a YAML text."""
+    """Dotted key -> origin, of a YAML text; inside lists with the item's number, e.g. `variants.0.label`."""
     found: dict[str, Origin] = {}
 
     def walk(node: yaml.Node, prefix: str) -> None:
+        if isinstance(node, yaml.SequenceNode):
+            for number, item in enumerate(node.value):
+                walk(item, f"{prefix}{number}.")
         if not isinstance(node, yaml.MappingNode):
             return
         for key_node, value_node in node.value:

@@ -7,6 +7,7 @@ import typer
 
 from tandem import __version__
 from tandem.cli import (
+    ablate,
     bench,
     command,
     demo,
@@ -55,6 +56,7 @@ app.command("diagnose")(diagnose.diagnose)
 app.command("test", context_settings={"allow_extra_args": True, "ignore_unknown_options": True})(test.test)
 app.add_typer(bench.app, name="bench")
 app.command("table")(table.table)
+app.command("ablate")(ablate.ablate)
 app.command("replay")(replay.replay)
 app.command("teleop")(teleop.teleop)
 app.add_typer(command.app, name="command")
