@@ -5,18 +5,20 @@ from typing import Annotated, Any
 
 import typer
 
-from tandem.cli.common import JsonOption, fail, sentences, write_json
+from tandem.cli.common import JsonOption, SetOption, fail, sentences, write_json
 
 
 def diagnose(
     run: Annotated[Path, typer.Argument(help="Folder of a run, finished or not.")],
     updates: Annotated[int, typer.Option(help="Gradient updates before the questions.", min=1)] = 6000,
+    overrides: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """What the critic can tell apart on episodes that it has not seen, and whom the operator helped.
 
     The learner runs again on four fifths of the run's episodes; the rest asks: does Q predict the return, does the
-    human's chunk score above that of the policy that he stopped, an executed one above itself disturbed?
+    human's chunk score above that of the policy that he stopped, an executed one above itself disturbed? With --set the
+    learner runs with other settings, e.g. --set method.learner.critic.weight_decay=0.0.
     """
     from tandem.learner.xla import configure
 
@@ -32,7 +34,7 @@ def diagnose(
     if not folder.log.is_file():
         fail(f"{run} holds no log.lcm; give the folder of a run.", 2)
     with sentences():
-        scenario = load_scenario(folder.scenario)
+        scenario = load_scenario(folder.scenario, overrides or [])
         try:
             value = diagnosis.diagnose(folder, scenario, updates)
         except ValueError as error:

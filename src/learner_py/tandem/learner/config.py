@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -290,9 +290,11 @@ class LearnerScenario(Lenient):
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
-def load_scenario(path: Path) -> LearnerScenario:
-    """Reads RUN/scenario.yaml. Raises ScenarioError with one sentence: place, value, limit."""
+def load_scenario(path: Path, overrides: Iterable[str] = ()) -> LearnerScenario:
+    """Reads RUN/scenario.yaml and applies `a.b=c`. Raises ScenarioError with one sentence: place, value, limit."""
     resolved = scenario_file.load(path)
+    for assignment in overrides:
+        resolved.override(assignment)
     try:
         return LearnerScenario.model_validate(resolved.data)
     except ValidationError as error:
