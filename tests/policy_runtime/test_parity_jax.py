@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import runtime
 
-from tandem.learner.golden import golden_examples, policy_chunk
+from tandem.learner.golden import CLEAR, golden_examples, policy_chunk
 from tandem.learner.noise import seeded_noise
 from tandem.policy_file import rounded, write_policy
 
@@ -182,7 +182,7 @@ class Written:
         both = policy_chunk(
             self.architecture, self.config, params, *norm, self.fresh["observation"], noise, images
         )
-        return np.asarray(both[0]), np.asarray(both[1])
+        return np.asarray(both[0]), np.asarray(both[1]) >= CLEAR
 
 
 def write(folder: Path, name: str, bfloat16: bool = False) -> Written:
@@ -247,6 +247,29 @@ def test_sampler_draws_what_the_learner_draws(written: Written) -> None:
     inputs = {name: array for name, array in written.inputs.items() if name != "noise"}
     ours = runtime.run(written.file, inputs)
     np.testing.assert_allclose(ours[clear], theirs[clear], rtol=0.0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    ("spread", "slope"), [(1e-3, 1.0), (1e-5, 1.0), (1e-7, 1.0), (1.0, 1e-6), (1.0, 0.0)]
+)
+def test_policy_whose_critic_can_hardly_choose_is_accepted(
+    tmp_path: Path, spread: float, slope: float
+) -> None:
+    """A flow that gives nearly one chunk whatever the noise, or a critic that is nearly flat."""
+    flow = heads.flow(hidden=[], layer_norm=False, steps=1, time_features=2)
+    config = heads.best_of_n([("flow", flow, 8)], edit=slope == 0.0)
+    typed, params = heads.network("best_of_n", config, 5, 2)
+    last = params["actor"][0]["layers"][-1]
+    last["weight"][:], last["bias"][:] = 0.0, 0.3
+    last["weight"][:, 5:11] = (spread - 1.0) * np.eye(6)
+    for member in params["critic"]:
+        member["layers"][-1]["weight"] *= np.float32(slope)
+    zeros, ones = np.zeros(5, np.float32), np.ones(5, np.float32)
+    golden = golden_examples("best_of_n", typed, params, 2, zeros, ones, np.random.default_rng(0))
+    policy = tmp_path / "policy.safetensors"
+    write_policy(policy, runtime.header("best_of_n", config, 5, 2), params, zeros, ones, golden)
+    for kernel in KERNELS:
+        assert runtime.info(policy, kernel)["golden_error"] <= TOLERANCE
 
 
 def test_a_wrong_golden_example_is_refused_with_a_sentence(tmp_path: Path) -> None:

@@ -89,10 +89,15 @@ def init_mlp(
 
 def forward(layers: Mlp, x: Array, activation: str) -> Array:
     """(in, B) -> (out, B); hidden layers activated, the output layer linear."""
+    return layers[-1]["weight"] @ features(layers, x, activation) + layers[-1]["bias"][:, None]
+
+
+def features(layers: Mlp, x: Array, activation: str) -> Array:
+    """(in, B) -> (F, B): what the output layer sees."""
     act = ACTIVATIONS[activation]
     for layer in layers[:-1]:
         x = act(_hidden(layer, x))
-    return layers[-1]["weight"] @ x + layers[-1]["bias"][:, None]
+    return x
 
 
 def _hidden(layer: Layer, x: Array) -> Array:
