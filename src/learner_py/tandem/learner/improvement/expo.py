@@ -3,6 +3,9 @@
 The edit is a tanh-Gaussian of [x, chunk], at most `scale` in each number, trained as in soft actor-critic on the logged
 chunks. Acting, and the critic's next chunk, take the best among the base's samples and their edits. (Base here: the
 method's head, a flow; the original's is a diffusion.)
+
+The edit's entropy is counted before it is scaled, as with the original's `adjust_target_entropy`: a change within +-0.1
+can't have -0.5 an axis, so alpha would rise without end and the edits be noise.
 """
 
 from __future__ import annotations
@@ -11,7 +14,6 @@ from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 
 from tandem.learner.improvement import imitate
@@ -36,7 +38,6 @@ def loss(
     mean, raw = jnp.split(forward(trained["edit"]["layers"], inputs.T, settings.activation).T, 2, axis=1)
     log_std = jnp.clip(raw, settings.log_std_min, settings.log_std_max)
     change, log_prob = squashed_log_prob(mean, log_std, jax.random.normal(key_edit, mean.shape))
-    log_prob -= change.shape[1] * float(np.log(settings.scale))  # the density of scale x change
     edited = jnp.clip(flat + settings.scale * change, -1.0, 1.0).reshape(batch.chunk.shape)
     q_edited = method.values(fixed["critic"], batch.x, edited).mean(axis=0)
     alpha = lax.stop_gradient(jax.nn.softplus(trained["temperature"]["raw"]))
