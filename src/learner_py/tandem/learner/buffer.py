@@ -64,7 +64,7 @@ class ReplayBuffer:
         length = len(windows.mc_return)
         if length > self.capacity:
             raise ValueError(
-                f"An episode of {length} steps does not fit in a buffer of {self.capacity}; raise buffer_capacity."
+                f"An episode of {length} steps does not fit in a buffer of {self.capacity}; raise replay.capacity."
             )
         while self.allocated < min(self._position + length, self.capacity):
             self._grow_to(min(2 * self.allocated, self.capacity), windows)

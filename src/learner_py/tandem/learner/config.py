@@ -20,6 +20,7 @@ from tandem import scenario as scenario_file
 from tandem.learner.episode import ACTION_AXES
 from tandem.scenario import ScenarioError
 
+MAX_SAMPLES = 256  # that the policy runtime takes from all heads together
 WIDTH_LIMITS = annotated_types.Interval(ge=1, le=4096)
 Width = Annotated[int, WIDTH_LIMITS]
 
@@ -153,7 +154,7 @@ class Decision(Strict):
     """How an action comes out of the head."""
 
     kind: Literal["head", "best_of_n"]
-    samples: int = Field(ge=1, le=256)
+    samples: int = Field(ge=1, le=MAX_SAMPLES)
     aggregate: Literal["mean", "min"]
     with_reference: bool
 
@@ -236,6 +237,25 @@ class MethodConfig(Strict):
             )
         if learner.decision.with_reference and learner.decision.kind != "best_of_n":
             yield "learner.decision.with_reference is true", "it is for best_of_n"
+        if learner.decision.with_reference and 2 * learner.decision.samples > MAX_SAMPLES:
+            yield (
+                f"learner.decision.samples is {learner.decision.samples}, and with_reference draws as many more",
+                f"there may be {MAX_SAMPLES} together",
+            )
+        if improvement.e2hil.low_quantile >= improvement.e2hil.high_quantile:
+            yield (
+                f"learner.improvement.e2hil.low_quantile is {improvement.e2hil.low_quantile}",
+                f"it must be less than high_quantile = {improvement.e2hil.high_quantile}",
+            )
+        for place, network in (
+            ("head.gaussian", learner.head.gaussian),
+            ("improvement.edit", improvement.edit),
+        ):
+            if network.log_std_min > network.log_std_max:
+                yield (
+                    f"learner.{place}.log_std_min is {network.log_std_min}",
+                    f"it must not be more than log_std_max = {network.log_std_max}",
+                )
 
 
 class RunConfig(Lenient):

@@ -279,10 +279,9 @@ def _line(episode: Episode, reports: list[Report], trainer: Trainer) -> str:
     if reports:
         n, seconds = sum(r.n_updates for r in reports), sum(r.seconds for r in reports)
         last = reports[-1]
-        parts.append(
-            f"{n} updates in {seconds:.2f} s, critic {last.critic_loss:.4f}, actor {last.actor_loss:.4f}, "
-            f"policy wins {last.win_share:.2f}"
-        )
+        parts.append(f"{n} updates in {seconds:.2f} s")
+        figures = {"critic": last.critic_loss, "actor": last.actor_loss, "policy wins": last.win_share}
+        parts += [f"{name} {value:.4f}" for name, value in figures.items() if not math.isnan(value)]
     elif not episode.is_learnable:
         parts.append("not learnt from")
     if trainer.policy_is_due(episode):

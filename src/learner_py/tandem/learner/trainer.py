@@ -176,15 +176,19 @@ class Trainer:
         sums = {name: float(value) for name, value in device_sums.items()}
         self._compiled_for = self.buffer.allocated
 
+        def mean(name: str, of: float) -> float:
+            return sums[name] / of if of > 0 else float("nan")
+
         def share(wins: float, of: float) -> float:
-            return wins / of if of > 0 and self.method.compares else float("nan")
+            # in the warm start nothing is compared
+            return wins / of if of > 0 and self.method.compares and not warm_start else float("nan")
 
         n = stop - start
         return Report(
             n_updates=n,
             seconds=time.perf_counter() - began,
-            critic_loss=sums["critic_loss"] / max(n, 1),
-            actor_loss=sums["actor_loss"] / max(sums["actor_updates"], 1.0),
+            critic_loss=mean("critic_loss", n),
+            actor_loss=mean("actor_loss", sums["actor_updates"]),
             win_share=share(sums["human_wins"] + sums["autonomous_wins"], sums["human"] + sums["autonomous"]),
             win_share_human=share(sums["human_wins"], sums["human"]),
             win_share_autonomous=share(sums["autonomous_wins"], sums["autonomous"]),

@@ -15,6 +15,7 @@ import optax
 from jax import lax
 
 from tandem.learner.buffer import Arrays, RowSet, RowSets
+from tandem.learner.critic import mean_score
 from tandem.learner.method import LearnerState, Method, Networks
 from tandem.learner.networks import Array
 
@@ -78,6 +79,7 @@ def make_update(method: Method) -> Update:
         if method.imitates_other_rows:
             rows = _draw(sets["imitated"], replay.batch, key_imitated, replay.half_life)
             batch = method.batch(arrays, rows, mean, scale)
+            q_buffer = mean_score(state.critics["critic"], batch.x, batch.chunk, learner.critic.activation)
 
         def improve() -> tuple[Networks, optax.OptState, Array, Array]:
             (loss, wins), gradient = jax.value_and_grad(method.actor_loss, has_aux=True)(
@@ -142,4 +144,4 @@ def _draw(rows: RowSet, n: int, key: Array, half_life: int) -> Array:
     count = rows.n.astype(jnp.float32)
     oldest = 1.0 - 2.0 ** (-count / half_life)
     age = -half_life * jnp.log2(1.0 - oldest * jax.random.uniform(key, (n,)))
-    return rows.listed[jnp.clip((count - 1.0 - age).astype(jnp.int32), 0, rows.n - 1)]
+    return rows.listed[jnp.clip(rows.n - 1 - age.astype(jnp.int32), 0, rows.n - 1)]
