@@ -3,7 +3,8 @@
 # stderr: stdout belongs to the command. Logs of the steps: .setup/STEP.log.
 
 setup_dir=.setup
-extras_needed=no  # gym-hil: `bench sim` requires it, videos only look better with it; Ray: `--ray` requires it, and tests
+extras_needed=no  # gym-hil: `bench sim` requires it, the videos of `train` and `demo` only look better with it
+ray_needed=no     # `table --ray`, `ablate --ray`, and their tests
 peers_needed=no   # ONNX Runtime and OpenVINO, and the programs that stand beside them in `bench policy`
 
 say() { printf 'tandem: %s\n' "$*" >&2; }
@@ -121,12 +122,17 @@ install_more() {
   write_stamp "$1" "$stamp"
 }
 
-# gym-hil and Ray: a failure stops `bench sim` and `--ray`, costs videos their meshes, and lets the tests of Ray fail.
+# gym-hil: a failure stops `bench sim`, and only costs videos their meshes.
 setup_extras() {
-  install_more extras requirements-extras.txt "gym-hil, Ray" && return 0
+  install_more extras requirements-extras.txt gym-hil && return 0
   [ "$extras_needed" != required ] ||
-    die "gym-hil and Ray did not install ($(tail -n 1 "$setup_dir/extras.log")). See $PWD/$setup_dir/extras.log; check the network and call again."
-  say "gym-hil and Ray did not install (see $PWD/$setup_dir/extras.log); the arm is drawn without its meshes, and --ray does not work."
+    die "gym-hil did not install ($(tail -n 1 "$setup_dir/extras.log")). See $PWD/$setup_dir/extras.log; check the network and call again."
+  say "gym-hil did not install (see $PWD/$setup_dir/extras.log); the arm is drawn without its meshes."
+}
+
+setup_ray() {
+  install_more ray requirements-ray.txt Ray ||
+    die "Ray did not install ($(tail -n 1 "$setup_dir/ray.log")). See $PWD/$setup_dir/ray.log; check the network and call again."
 }
 
 setup_peers() {
@@ -195,12 +201,13 @@ setup_all() {
   case "${1:-} ${2:-}" in
     "bench sim") extras_needed=required ;;
     "bench policy") peers_needed=yes ;;
-    "train "* | "demo "* | "table "* | "ablate "* | "test "*) extras_needed=wanted ;;
+    "test "*) ray_needed=yes ;;
+    "train "* | "demo "*) extras_needed=wanted ;;
   esac
   for word in "$@"; do
     case "$word" in
-      --ray | --ray=*) extras_needed=required ;;
-      --help | -h) extras_needed=no peers_needed=no; break ;;
+      --ray | --ray=*) ray_needed=yes ;;
+      --help | -h) extras_needed=no ray_needed=no peers_needed=no; break ;;
     esac
   done
 
@@ -214,6 +221,7 @@ setup_all() {
   setup_packages
   setup_venv
   [ "$extras_needed" = no ] || setup_extras
+  [ "$ray_needed" = no ] || setup_ray
   [ "$peers_needed" = no ] || setup_peers
   setup_build
   setup_loopback

@@ -168,7 +168,7 @@ def test_a_folder_in_use_by_another_call_is_waited_for(tmp_path: Path) -> None:
 
 def test_missing_ray_is_a_sentence_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(MachineError, match=r"--ray needs Ray, .* install it by .*requirements-extras\.txt"):
+    with pytest.raises(MachineError, match=r"--ray needs Ray, .* install it by .*requirements-ray\.txt"):
         RayMachine("local")
 
 

@@ -103,7 +103,7 @@ class RayMachine:
         except ImportError as error:
             raise MachineError(
                 f"--ray needs Ray, which can't be loaded ({error}); install it by"
-                " .venv/bin/python -m pip install --no-deps -r requirements-extras.txt, or leave out --ray."
+                " .venv/bin/python -m pip install --no-deps -r requirements-ray.txt, or leave out --ray."
             ) from None
         self.ray = ray
         local: dict[str, Any] = {}
