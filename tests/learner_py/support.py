@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import lcm
 import numpy as np
-import yaml
+import optax
+from jax import lax
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.episode_step_t import episode_step_t
 from tandem_lcm.tandem.world_state_t import world_state_t
 
 from tandem.learner.config import LearnerScenario
 from tandem.learner.episode import Episode, steps_digest
+from tandem.learner.method import Batch
+from tandem.scenario import compose, names
 
-METHODS = Path(__file__).parents[2] / "config" / "methods"
+CONFIG = Path(__file__).parents[2] / "config"
+METHODS = names(CONFIG / "methods")
 N_OBSERVATION = 3
 
 
@@ -85,21 +91,38 @@ def write_log(path: Path, all_messages: Sequence[tuple[list[episode_step_t], epi
     log.close()
 
 
+SMALL_HEAD = {"hidden": [16]}
+SMALL = {
+    "head": {
+        "mlp": SMALL_HEAD,
+        "gaussian": SMALL_HEAD,
+        "flow": SMALL_HEAD | {"steps": 4},
+        "act": {"model_size": 8, "heads": 2, "feedforward": 16, "latent_size": 4},
+    },
+    "critic": {"hidden": [16], "members": 2},
+    "improvement": {"edit": SMALL_HEAD},
+    "replay": {"batch": 16},
+    "warm_start_updates": 70,
+    "updates_per_env_step": 2,
+    "checkpoint_every_s": 0,
+}
+
+
 def scenario_data(
-    method: str = "tandem", demonstrations: int = 2, env_steps: int = 40, **learner: Any
+    method: str = "mcbc",
+    demonstrations: int = 2,
+    env_steps: int = 40,
+    horizon: int | None = None,
+    **learner: Any,
 ) -> dict[str, Any]:
-    """A resolved scenario as a dictionary: small networks unless a test asks otherwise."""
-    section = yaml.safe_load((METHODS / f"{method}.yaml").read_text())
+    """A resolved scenario as a dictionary: small networks unless a test asks otherwise. learner: merged into it."""
+    section = compose(CONFIG, "peg", method, {}).data["method"]
     section["discount"] = 0.9
-    small = {"warm_start_updates": 70, "updates_per_env_step": 2, "batch": 16, "checkpoint_every_s": 0}
-    section["learner"].update(small)
-    section["learner"]["head"]["hidden"] = [16]
-    section["learner"]["critic"].update({"hidden": [16], "members": 2})
-    for key, value in learner.items():
-        if isinstance(value, dict):
-            section["learner"][key].update(value)
-        else:
-            section["learner"][key] = value
+    if horizon is not None:
+        section["horizon"] = horizon
+        section["learner"]["critic"]["td"]["steps"] = horizon
+    merge(section["learner"], SMALL)
+    merge(section["learner"], learner)
     return {
         "run": {
             "mode": "train", "task": "peg", "method": method, "seed": 3, "demonstrations": demonstrations,
@@ -115,12 +138,55 @@ def scenario_data(
     }  # fmt: skip
 
 
+def merge(section: dict[str, Any], changes: dict[str, Any]) -> None:
+    """Lays nested changes over a section."""
+    for key, value in changes.items():
+        if isinstance(value, dict):
+            merge(section[key], value)
+        else:
+            section[key] = value
+
+
 def scenario(**facts: Any) -> LearnerScenario:
     return LearnerScenario.model_validate(scenario_data(**facts))
 
 
+def batch(n: int, **facts: Any) -> Batch:
+    """n rows of a method with h = 1 and the three axes: all valid, nobody's, worth nothing; ended."""
+    shape = np.shape(facts["chunk"])[:2] if "chunk" in facts else (n, 1)
+    rows: dict[str, Any] = {
+        "x": np.ones((n, N_OBSERVATION)), "chunk": np.zeros((n, 1, 3)), "valid": np.ones(shape, bool),
+        "human": np.zeros(shape, bool), "mc_return": np.zeros(n), "next_x": np.ones((n, N_OBSERVATION)),
+        "n_step_return": np.zeros(n), "bootstrap": np.zeros(n),
+    }  # fmt: skip
+    rows |= facts
+    floats = {name: np.asarray(a) for name, a in rows.items()}
+    return Batch(**{n: jnp.asarray(a, a.dtype if a.dtype == bool else np.float32) for n, a in floats.items()})
+
+
+def minimise(loss: Callable[..., Any], params: Any, steps: int = 1000, rate: float = 5e-3) -> Any:
+    """Adam on loss(params, key)."""
+    optimizer = optax.adam(rate)
+
+    def step(carry: Any, key: Any) -> Any:
+        params, state = carry
+        change, state = optimizer.update(jax.grad(loss)(params, key), state)
+        return (optax.apply_updates(params, change), state), None
+
+    run = quickly(lambda start, keys: lax.scan(step, start, keys)[0][0])
+    return run((params, optimizer.init(params)), jax.random.split(jax.random.PRNGKey(0), steps))
+
+
+def quickly(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compiled without optimisation: tests compile longer than they compute."""
+    return jax.jit(function, compiler_options={"xla_backend_optimization_level": 0})
+
+
+def linear_critics(*weights: Sequence[float]) -> list[dict[str, Any]]:
+    """Members whose value is w . (x, chunk)."""
+    return [{"weight": jnp.array(weights, jnp.float32)[:, None, :], "bias": jnp.zeros((len(weights), 1))}]
+
+
 def tree_bytes(tree: Any) -> bytes:
     """All leaves of a JAX tree, for bit-by-bit comparison."""
-    import jax
-
     return b"".join(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(tree))

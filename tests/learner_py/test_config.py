@@ -7,9 +7,7 @@ import support
 import yaml
 
 from tandem.learner.config import check_method, load_scenario
-from tandem.scenario import ScenarioError
-
-NAMES = sorted(path.stem for path in support.METHODS.glob("*.yaml"))
+from tandem.scenario import ScenarioError, compose
 
 
 def load(tmp_path, data):
@@ -18,14 +16,19 @@ def load(tmp_path, data):
     return load_scenario(path)
 
 
-@pytest.mark.parametrize("name", NAMES)
+def method_of(name):
+    return check_method(compose(support.CONFIG, "peg", name, {}).data["method"])
+
+
+@pytest.mark.parametrize("name", support.METHODS)
 def test_every_method_file_is_valid_and_named_as_its_file(name):
-    assert check_method(yaml.safe_load((support.METHODS / f"{name}.yaml").read_text())).name == name
+    assert method_of(name).name == name
 
 
-def test_all_methods_have_the_same_update_ratio():
-    methods = [check_method(yaml.safe_load((support.METHODS / f"{name}.yaml").read_text())) for name in NAMES]
-    assert len({method.learner.updates_per_env_step for method in methods}) == 1
+def test_all_methods_have_the_same_update_ratio_but_qc_which_has_its_authors():
+    ratios = {name: method_of(name).learner.updates_per_env_step for name in support.METHODS}
+    assert ratios.pop("qc") == 1
+    assert set(ratios.values()) == {4}
 
 
 METHOD, LEARNER = "method", "method.learner"
@@ -34,21 +37,19 @@ METHOD, LEARNER = "method", "method.learner"
 @pytest.mark.parametrize(
     ("section", "change", "sentence"),
     [
-        (LEARNER, {"batch": 0}, r"scenario.yaml:\d+: method.learner.batch is 0; it must be in \[1, 65536\]"),
+        (LEARNER + ".replay", {"batch": 0}, r"scenario.yaml:\d+: .*replay.batch is 0; it must be in \[1, 65536\]"),
         (LEARNER, {"learning_rate": float("nan")}, r"method.learner.learning_rate is nan"),
         (LEARNER, {"ema": None}, r"method.learner.ema is missing"),
-        (LEARNER, {"bach": 3}, r"no key method.learner.bach; the nearest is method.learner.batch"),
-        (LEARNER + ".head", {"hidden": [128, 0]}, r"head.hidden.1 is 0; it must be in \[1, 4096\]"),
-        (LEARNER + ".head", {"kind": "act"}, r"method.learner.head.kind is 'act'; input should be 'mlp'"),
-        (LEARNER + ".critic", {"kind": "none"}, r"critic.kind is none; improvement max_q"),
+        (LEARNER + ".replay", {"bach": 3}, r"no key method.learner.replay.bach; .* method.learner.replay.batch"),
+        (LEARNER + ".head.mlp", {"hidden": [128, 0]}, r"mlp.hidden.1 is 0; it must be in \[1, 4096\]"),
+        (LEARNER + ".head", {"kind": "cnn"}, r"method.learner.head.kind is 'cnn'; input should be 'mlp'"),
         (METHOD, {"discount": 1.5}, r"scenario.yaml:\d+: method.discount is 1.5; it must be in \(0, 1\]"),
         (METHOD + ".execution", {"mode": "ensemble"}, r"execution.mode is 'ensemble'; .*temporal_ensembling"),
         (METHOD + ".execution", {"ensemble_decay": -0.1}, r"ensemble_decay is -0.1; it must be in \[0, 10\]"),
         (METHOD + ".execution", {"latency_ticks": None}, r"execution.latency_ticks is missing"),
-        (METHOD + ".execution", {"execute": 2}, r"execute is 2; it must be in \[1, horizon\] = \[1, 1\]"),
         ("task", {"action_axes": ["rz", "x"]}, r"must be in wire order"),
     ],
-)
+)  # fmt: skip
 def test_bad_value_is_named_with_its_place_and_limit(tmp_path, section, change, sentence):
     data = support.scenario_data()
     node = data
@@ -62,8 +63,55 @@ def test_bad_value_is_named_with_its_place_and_limit(tmp_path, section, change, 
         load(tmp_path, data)
 
 
-def test_fingerprint_ignores_what_does_not_change_learning(tmp_path):
+def cut_down(**changes):
+    return {"improvement": {"kind": "imitate"}, **changes}
+
+
+@pytest.mark.parametrize(
+    ("learner", "sentence"),
+    [
+        ({"critic": {"kind": "none"}}, r"critic.kind is none; improvement max_q asks a critic; choose mc, td or iql"),
+        (
+            cut_down(critic={"kind": "none"}, decision={"kind": "best_of_n"}),
+            r"critic.kind is none; decision best_of_n asks a critic",
+        ),
+        ({"improvement": {"data": "human"}}, r"improvement.data is human; max_q learns from all data"),
+        ({"improvement": {"kind": "sac"}}, r"head.kind is mlp; sac needs its log-density: choose gaussian"),
+        ({"improvement": {"kind": "e2hil"}, "head": {"kind": "flow"}}, r"head.kind is flow; e2hil needs"),
+        ({"improvement": {"kind": "expo"}}, r"decision.kind is head; expo decides between .*: choose best_of_n"),
+        ({"critic": {"kind": "td", "td": {"subset": 3}}}, r"td.subset is 3; there are 2 critics"),
+        ({"decision": {"with_reference": True}}, r"with_reference is true; it is for best_of_n"),
+        (
+            {"decision": {"kind": "best_of_n", "samples": 129, "with_reference": True}},
+            r"decision.samples is 129, and .* as many more; there may be 256 together",
+        ),
+        (
+            {"improvement": {"e2hil": {"low_quantile": 0.9}}},
+            r"low_quantile is 0.9; it must be less than high_quantile = 0.9",
+        ),
+        ({"head": {"gaussian": {"log_std_min": 3.0}}}, r"head.gaussian.log_std_min is 3.0; .* log_std_max = 2.0"),
+        ({"improvement": {"edit": {"log_std_max": -6.0}}}, r"edit.log_std_min is -5.0; .* log_std_max = -6.0"),
+    ],
+)  # fmt: skip
+def test_choices_that_do_not_fit_together_are_refused(tmp_path, learner, sentence):
+    with pytest.raises(ScenarioError, match=sentence):
+        load(tmp_path, support.scenario_data(**learner))
+
+
+def test_chunks_are_not_executed_beyond_their_end_nor_valued_by_fewer_rewards_than_they_earn(tmp_path):
+    data = support.scenario_data()
+    data["method"]["execution"]["execute"] = 2
+    with pytest.raises(ScenarioError, match=r"execute is 2; it must be in \[1, horizon\] = \[1, 1\]"):
+        load(tmp_path, data)
+    for kind in ("td", "iql"):
+        data = support.scenario_data(horizon=4, critic={"kind": kind, "td": {"steps": 3}})
+        with pytest.raises(ScenarioError, match=r"td.steps is 3; it must not be less than the horizon of 4"):
+            load(tmp_path, data)
+
+
+def test_fingerprint_ignores_what_does_not_change_learning():
     base = support.scenario()
     assert support.scenario(checkpoint_every_s=60).fingerprint() == base.fingerprint()
     assert support.scenario(env_steps=999).fingerprint() == base.fingerprint()
-    assert support.scenario(batch=17).fingerprint() != base.fingerprint()
+    assert support.scenario(replay={"batch": 17}).fingerprint() != base.fingerprint()
+    assert support.scenario(decision={"kind": "best_of_n"}).fingerprint() != base.fingerprint()

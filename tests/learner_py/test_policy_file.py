@@ -10,7 +10,7 @@ import support
 from safetensors import safe_open
 
 from tandem.learner.golden import golden_examples
-from tandem.learner.networks import HEADS, best_of_n
+from tandem.learner.networks import HEADS
 from tandem.learner.normalizer import Normalizer
 from tandem.learner.trainer import Trainer
 from tandem.policy_file import (
@@ -54,18 +54,22 @@ def numpy_forward(tensors, config, observation):
     "facts",
     [
         {},
-        {"method": "mlp_qchunk_mcbc", "head": {"hidden": [16, 24], "activation": "tanh", "layer_norm": True}},
-        {"head": {"activation": "gelu"}},
+        {
+            "method": "mlp_qchunk_mcbc",
+            "head": {"mlp": {"hidden": [16, 24], "activation": "tanh", "layer_norm": True}},
+        },
+        {"head": {"mlp": {"activation": "gelu"}}},
     ],
 )
 def test_golden_examples_agree_with_an_independent_forward_pass(tmp_path, facts):
     trainer = trained(warm_start_updates=0, **facts)
     rng = np.random.default_rng(0)  # no number may be special, biases and norms included
-    actor = [
+    layers = [
         {k: v + 0.3 * rng.normal(size=v.shape).astype("f") for k, v in layer.items()}
-        for layer in trainer.state.actor
+        for layer in trainer.state.average["actor"]["layers"]
     ]
-    trainer.state = trainer.state._replace(actor_average=actor)
+    average = trainer.state.average | {"actor": {"layers": layers}}
+    trainer.state = trainer.state._replace(average=average)
     trainer.write_policy(tmp_path / "policy.safetensors")
     tensors, _ = read_safetensors(tmp_path / "policy.safetensors")
     header = read_header(tmp_path / "policy.safetensors")
@@ -172,34 +176,6 @@ def test_parts_of_a_best_of_n_have_names_of_their_own(tmp_path):
         "actor.0", "actor.1", "edit", "critic.0", "critic.1", "critic.2",
     }  # fmt: skip
     assert tensors["critic.2.layers.0.weight"].shape == (11, 7 + 6)
-
-
-def test_golden_examples_of_a_best_of_n_have_clear_winners():
-    config = heads.best_of_n([("gaussian", heads.gaussian(), 40)], edit=False)
-    typed, params = heads.network("best_of_n", config, 7, 2)
-    mean, scale = np.zeros(7, np.float32), np.ones(7, np.float32)
-    generator = np.random.default_rng(0)
-    observation = generator.normal(size=(30, 7)).astype(np.float32)
-    golden = golden_examples("best_of_n", typed, params, 2, mean, scale, generator, observation)
-    np.testing.assert_array_equal(golden["observation"], observation)
-    proposed = best_of_n.candidates(params, typed, observation, golden["noise"], {})
-    score = np.sort(
-        best_of_n.scores(best_of_n.stacked(params["critic"]), typed.critic, observation, proposed)
-    )
-    lead = score[:, -1] - score[:, -2]
-    assert (lead > 0.99e-3 * np.abs(score[:, -2:]).max(axis=1)).all()
-    chunk = heads.jitted(best_of_n.chunk)(params, typed, observation, golden["noise"], {})
-    np.testing.assert_allclose(chunk, golden["chunk"], atol=2e-6)
-
-
-def test_critic_that_tells_nothing_apart_gives_no_policy_file():
-    config = heads.best_of_n([("gaussian", heads.gaussian(), 3)])
-    typed, params = heads.network("best_of_n", config, 7, 2)
-    for member in params["critic"]:
-        member["layers"][-1]["weight"][:] = 0.0
-    ones = np.ones(7, np.float32)
-    with pytest.raises(PolicyFileError, match="Only 0 of 8 golden examples have a clear winner"):
-        golden_examples("best_of_n", typed, params, 2, ones, ones, np.random.default_rng(0))
 
 
 def test_bfloat16_file_holds_what_its_golden_examples_computed(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from pathlib import Path
@@ -19,7 +20,8 @@ from tandem_lcm.tandem.policy_announce_t import policy_announce_t
 from tandem_lcm.tandem.world_state_t import world_state_t
 
 from tandem.learner.config import LearnerScenario
-from tandem.learner.process import FINISHED, REFUSED, STOPPED, LearnerProcess
+from tandem.learner.process import FINISHED, REFUSED, STOPPED, LearnerProcess, _line
+from tandem.learner.trainer import Report
 from tandem.policy_file import describe, read_header, read_safetensors
 from tandem.processes import free_lcm_url
 from tandem.wire import Wire, utime
@@ -213,8 +215,18 @@ def test_status_never_stops_for_long_and_carries_the_figures(reference):
     assert max(np.diff(times)) < 3.0  # 0.8 s and what a busy machine adds
     trained = [status for _, status in controller.statuses if status.updates_done > 100]
     assert trained and all(
-        0 <= s.win_share <= 1 and s.buffer_steps >= 24 and s.method == "tandem" for s in trained
+        0 <= s.win_share <= 1 and s.buffer_steps >= 24 and s.method == "mcbc" for s in trained
     )
+
+
+def test_line_about_an_episode_says_no_figure_that_there_is_none_of(reference):
+    process = reference[3]
+    none = Report(64, 0.5, math.nan, 0.25, math.nan, math.nan, math.nan)
+    line = _line(support.demonstration(1), [none], process.trainer)
+    assert line.startswith(
+        "episode 1 demonstration: success, 5 steps (0 by the human); 64 updates in 0.50 s; actor"
+    )
+    assert "nan" not in line
 
 
 def same_policies(one: Path, other: Path) -> bool:

@@ -12,8 +12,8 @@ from tandem.learner.windows import make_windows
 ALL_AXES = range(7)
 
 
-def windows(episode, columns=ALL_AXES, horizon=3, discount=0.9, cut=False):
-    return make_windows(episode, columns, horizon, discount, cut)
+def windows(episode, columns=ALL_AXES, horizon=3, discount=0.9, cut=False, **bootstrap):
+    return make_windows(episode, columns, horizon, discount, cut, **bootstrap)
 
 
 def test_chunk_is_the_executed_actions_from_t_on():
@@ -45,26 +45,52 @@ def test_return_counts_discounted_steps_to_success():
     )
 
 
-def test_time_out_earns_nothing_and_is_truncated_not_terminated():
-    result = windows(support.episode(0, n_steps=4, outcome=episode_end_t.TIMEOUT))
-    assert not result.mc_return.any() and not result.terminated.any()
-    np.testing.assert_array_equal(result.truncated, [0, 1, 1, 1])  # by window, horizon 3
+def test_time_out_and_failure_earn_nothing():
+    for outcome in (episode_end_t.TIMEOUT, episode_end_t.FAILURE):
+        assert not windows(support.episode(0, n_steps=4, outcome=outcome)).mc_return.any()
 
 
-def test_success_is_terminated_not_truncated():
-    result = windows(support.episode(0, n_steps=4), horizon=1)
-    np.testing.assert_array_equal(result.terminated, [0, 0, 0, 1])
-    assert not result.truncated.any()
+# what the value of the next observation counts, t = 0 .. 5 of an episode of six steps, discount 0.9
+ONE_STEP, FOUR_STEPS = [0.9] * 6, [0.9**4] * 3 + [0.9**3, 0.9**2, 0.9]
 
 
-def test_failure_label_terminates_and_earns_nothing():
-    result = windows(support.episode(0, n_steps=3, outcome=episode_end_t.FAILURE), horizon=1)
-    assert result.terminated[-1] and not result.mc_return.any()
+@pytest.mark.parametrize(
+    ("steps", "outcome", "timeout_is_terminal", "earned", "counts"),
+    [
+        (1, episode_end_t.SUCCESS, False, [0, 0, 0, 0, 0, 1], [*ONE_STEP[:5], 0]),
+        (1, episode_end_t.FAILURE, False, [0] * 6, [*ONE_STEP[:5], 0]),
+        (1, episode_end_t.TIMEOUT, False, [0] * 6, ONE_STEP),
+        (1, episode_end_t.TIMEOUT, True, [0] * 6, [*ONE_STEP[:5], 0]),
+        (4, episode_end_t.SUCCESS, False, [0, 0, 0.9**3, 0.9**2, 0.9, 1], [*FOUR_STEPS[:2], 0, 0, 0, 0]),
+        (4, episode_end_t.FAILURE, True, [0] * 6, [*FOUR_STEPS[:2], 0, 0, 0, 0]),
+        (4, episode_end_t.TIMEOUT, False, [0] * 6, FOUR_STEPS),
+        (4, episode_end_t.TIMEOUT, True, [0] * 6, [*FOUR_STEPS[:2], 0, 0, 0, 0]),
+    ],
+)
+def test_bootstrap_sums_n_rewards_and_goes_on_where_the_episode_did_not_truly_end(
+    steps, outcome, timeout_is_terminal, earned, counts
+):
+    episode = support.episode(0, n_steps=6, outcome=outcome)
+    result = windows(episode, bootstrap_steps=steps, timeout_is_terminal=timeout_is_terminal)
+    np.testing.assert_allclose(result.n_step_return, earned, atol=1e-6)
+    np.testing.assert_allclose(result.bootstrap, counts, rtol=1e-6)
 
 
-def test_next_observation_follows_the_window_and_never_leaves_the_episode():
-    result = windows(support.episode(7, n_steps=5), horizon=3)
-    np.testing.assert_array_equal(result.next_observation[:, 1], [3, 4, 5, 5, 5])
+def test_bootstrap_leaves_the_return_that_was_earned_alone():
+    """R + b G of the step that the window leads to is G again."""
+    episode = support.episode(0, n_steps=9)
+    for steps in (1, 2, 4, 20):
+        result = windows(episode, bootstrap_steps=steps)
+        later = np.append(result.mc_return, np.zeros(20))[steps : steps + 9]
+        np.testing.assert_allclose(
+            result.n_step_return + result.bootstrap * later, result.mc_return, rtol=1e-5
+        )
+
+
+@pytest.mark.parametrize(("steps", "places"), [(1, [1, 2, 3, 4, 5]), (4, [4, 5, 5, 5, 5])])
+def test_next_observation_follows_the_n_steps_and_never_leaves_the_episode(steps, places):
+    result = windows(support.episode(7, n_steps=5), bootstrap_steps=steps)
+    np.testing.assert_array_equal(result.next_observation[:, 1], places)
     np.testing.assert_array_equal(result.next_observation[:, 0], [7] * 5)
 
 
