@@ -13,7 +13,7 @@ from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem.learner.method import Method
 from tandem.learner.networks import HEADS, best_of_n, read_config
 from tandem.learner.trainer import Trainer
-from tandem.policy_file import read_header, read_safetensors
+from tandem.policy_file import network, read_header, read_safetensors
 
 
 def train(trainer, numbers, intervention=(0, 0, 1, 0, 0)):
@@ -114,10 +114,7 @@ def test_every_method_trains_deploys_and_resumes(tmp_path, name):
     tensors, _ = read_safetensors(tmp_path / "policy")
     assert header.method == name and header.updates == 4 and len(tensors["golden.chunk"]) >= 8
     config = read_config(header.architecture, header.config)
-    if header.architecture == "best_of_n":
-        params = {part: heads.parameters(tensors, f"{part}.") for part in ("actor", "edit", "critic")}
-    else:
-        params = heads.parameters(tensors)
+    params = network(tensors, header.architecture)
     x = (tensors["golden.observation"] - tensors["normalizer.mean"]) * tensors["normalizer.scale"]
     noise = tensors.get("golden.noise", np.zeros((len(x), 0), np.float32))
     chunk = heads.jitted(HEADS[header.architecture].chunk)(params, config, x, noise, {})

@@ -12,7 +12,7 @@ import runtime
 from lerobot import ENVIRONMENT, STATE, Checkpoint
 
 from tandem.lerobot_act import convert
-from tandem.policy_file import PolicyFileError, read_header, read_safetensors
+from tandem.policy_file import PolicyFileError, network, read_header, read_safetensors
 
 TOLERANCE = 1e-5  # action units
 CAMERAS = {"observation.images.top": (40, 52), "observation.images.wrist": (33, 47)}
@@ -53,7 +53,6 @@ def our_inputs(raw: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def jax_chunk(file: Path, inputs: dict[str, np.ndarray]) -> np.ndarray:
-    import heads
 
     from tandem.learner.golden import policy_chunk
     from tandem.learner.networks import read_config
@@ -64,7 +63,7 @@ def jax_chunk(file: Path, inputs: dict[str, np.ndarray]) -> np.ndarray:
     nothing = np.zeros((len(inputs["observation"]), 0), np.float32)
     norm = tensors["normalizer.mean"], tensors["normalizer.scale"]
     chunk, _ = policy_chunk(
-        "act", config, heads.parameters(tensors), *norm, inputs["observation"], nothing, images
+        "act", config, network(tensors, "act"), *norm, inputs["observation"], nothing, images
     )
     return np.asarray(chunk)
 

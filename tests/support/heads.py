@@ -97,23 +97,3 @@ def inputs(
 def jitted(function: Callable[..., Any], static: int = 1) -> Callable[..., Any]:
     """Compiled without optimisation: tests compile longer than they compute."""
     return jax.jit(function, static_argnums=static, compiler_options={"xla_backend_optimization_level": 0})
-
-
-def parameters(tensors: dict[str, np.ndarray], prefix: str = "actor.") -> Any:
-    """The network in the tensors of a policy file: names back to dicts and lists."""
-    tree: dict[str, Any] = {}
-    for name, array in tensors.items():
-        if name.startswith(prefix):
-            *path, last = name.removeprefix(prefix).split(".")
-            node = tree
-            for key in path:
-                node = node.setdefault(key, {})
-            node[last] = array.astype(np.float32)
-
-    def lists(node: Any) -> Any:
-        if not isinstance(node, dict):
-            return node
-        parts = {key: lists(part) for key, part in node.items()}
-        return [parts[str(i)] for i in range(len(parts))] if all(key.isdigit() for key in parts) else parts
-
-    return lists(tree)

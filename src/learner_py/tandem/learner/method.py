@@ -175,7 +175,7 @@ class Method:
             "all": everything,
             "human": human,
             "demonstrations": everything & episode.is_demonstration,
-            "success": everything & (episode.outcome == "success"),
+            "success": windows.mc_return > 0,
         }[self.config.learner.improvement.data]
         # demonstrations and interventions; training episodes, interventions included (as HIL-SERL's two buffers)
         online = everything & (not episode.is_demonstration)
