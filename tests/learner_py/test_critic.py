@@ -67,11 +67,11 @@ def learnt(method, batch, monkeypatch, updates=1500):
         return jnp.zeros((len(x), method.config.horizon, 3)).at[:, :, 0].set(jnp.where(is_real, ON, 0.0))
 
     monkeypatch.setattr(Method, "decide", going_on)
-    optimizer = method.optimizer()
+    optimizer = method.critic_optimizer
 
     def update(state, key):
         gradient, _ = jax.grad(method.critic_loss, has_aux=True)(state.critics, state, batch, key)
-        step, optimizer_state = optimizer.update(gradient, state.critic_optimizer)
+        step, optimizer_state = optimizer.update(gradient, state.critic_optimizer, state.critics)
         critics = optax.apply_updates(state.critics, step)
         average = method.averages(state, {**state.actors, **critics}, jnp.bool_(False))
         return state._replace(

@@ -16,12 +16,12 @@ _RUN = {
 
 # A tenth of a second of one core per episode.
 _LEARNER = {
-    "method.learner.head.hidden": "[32, 32]",
+    "method.learner.head.flow.hidden": "[32, 32]",
     "method.learner.critic.hidden": "[32, 32]",
     "method.learner.critic.members": 2,
     "method.learner.warm_start_updates": 200,
     "method.learner.updates_per_env_step": 0.5,
-    "method.learner.batch": 64,
+    "method.learner.replay.batch": 64,
     "method.learner.checkpoint_every_s": 3,
 }
 
