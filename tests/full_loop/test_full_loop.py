@@ -2,7 +2,9 @@
 
 import json
 import os
+import re
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -12,8 +14,10 @@ from typing import Any
 
 import pytest
 
+from tandem import scenario
 from tandem.cli.log import first_difference
 from tandem.log import messages
+from tandem.run_folder import CONFIG, program
 
 ROOT = Path(__file__).parents[2]
 SMALL = {
@@ -127,13 +131,24 @@ def test_replay_of_a_lockstep_log_finds_every_torque_again(reference: Path) -> N
 
 def test_replay_finds_one_changed_bit_of_what_the_operator_said(reference: Path, tmp_path: Path) -> None:
     bytes_ = bytearray((reference / "log.lcm").read_bytes())
-    at = bytes_.index(b"TELEOP_COMMAND", len(bytes_) // 2) + len(b"TELEOP_COMMAND")
-    twist_x = at + 8 + 8 + 8 + 8  # fingerprint, utime, episode, tick
-    bytes_[twist_x + 5] ^= 1  # in the fraction
+    # a command of the second demonstration that really moves the arm
+    for found in re.finditer(b"TELEOP_COMMAND", bytes_):
+        episode, _, twist_x = struct.unpack_from(">qqd", bytes_, found.end() + 16)  # after fingerprint, utime
+        if episode == 1 and abs(twist_x) > 0.05:
+            bytes_[found.end() + 32 + 5] ^= 1  # in the fraction
+            break
     (tmp_path / "log.lcm").write_bytes(bytes_)
     code, result = replay(tmp_path)
     assert code == 1
-    assert result["first_difference"]["episode"] > 0
+    assert result["first_difference"]["episode"] == 1
+
+
+@pytest.mark.parametrize("method", scenario.names(CONFIG / "methods"))
+def test_controller_takes_every_method(tmp_path: Path, method: str) -> None:
+    scenario.compose(CONFIG, "peg", method, {}).write(tmp_path / "scenario.yaml")
+    check = [program("tandem_controller"), "--scenario", tmp_path / "scenario.yaml", "--check"]
+    done = subprocess.run(check, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_stopped_arm_waits_for_an_order_and_the_fault_is_on_record(tmp_path: Path) -> None:
