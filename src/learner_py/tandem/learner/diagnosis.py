@@ -24,9 +24,8 @@ from tandem.run_folder import RunFolder
 
 HELD_OUT_EVERY = 5  # training episodes
 DISTURBANCES = (0.1, 0.3, 1.0)  # standard deviations, action units
-AFTER_TAKEOVER = (
-    3  # steps of an intervention in which the human's chunk counts as better than what he took over from
-)
+# Steps of an intervention in which the human's chunk counts as better than that of the policy that he stopped.
+AFTER_TAKEOVER = 3
 
 Floats = NDArray[Any]
 
@@ -37,7 +36,7 @@ class Question:
 
     episode: Episode
     windows: Windows
-    policy: Path | None  # the last checkpoint before the episode
+    policy: Path | None  # the last checkpoint that had not learnt from the episode
 
 
 def diagnose(folder: RunFolder, scenario: LearnerScenario, updates: int) -> dict[str, Any]:
@@ -79,7 +78,7 @@ def diagnose(folder: RunFolder, scenario: LearnerScenario, updates: int) -> dict
 
 
 def _returns(trainer: Trainer, held_out: list[Question]) -> dict[str, float]:
-    """How well Q predicts what was earned, and whether it tells successes from failures at the same age."""
+    """How well Q predicts what was earned, and what it promises for the actor's own chunks."""
     q = np.concatenate([_scores(trainer, one.windows, one.windows.chunk) for one in held_out])
     earned = np.concatenate([one.windows.mc_return for one in held_out])
     q_own = np.concatenate(
@@ -131,8 +130,8 @@ def _disturbed(trainer: Trainer, held_out: list[Question]) -> dict[str, float]:
     return shares
 
 
-def _operator(folder: RunFolder) -> dict[str, float]:
-    """Who is rescued, and how often."""
+def _operator(folder: RunFolder) -> dict[str, float | None]:
+    """Who is rescued, and how often; None where there was no such episode."""
     training = [e for e in log.episodes(folder.log) if e.is_training and e.is_learnable]
     helped = [bool(e.intervention.any()) for e in training]
     succeeded = [e.outcome == "success" for e in training]
@@ -141,8 +140,8 @@ def _operator(folder: RunFolder) -> dict[str, float]:
     return {
         "episodes": len(training),
         "helped": float(np.mean(helped)),
-        "success_alone": float(np.mean(alone)) if alone else float("nan"),
-        "success_helped": float(np.mean(rescued)) if rescued else float("nan"),
+        "success_alone": float(np.mean(alone)) if alone else None,
+        "success_helped": float(np.mean(rescued)) if rescued else None,
         "human_steps": float(np.mean(np.concatenate([e.intervention for e in training]))),
     }
 
@@ -157,7 +156,7 @@ def _after_takeover(episode: Episode) -> Floats:
 
 
 def _policy_before(folder: RunFolder, episode: Episode) -> Path | None:
-    before = [f for steps, f in folder.checkpoints().items() if steps <= episode.end.env_steps_total]
+    before = [f for steps, f in folder.checkpoints().items() if steps < episode.end.env_steps_total]
     return before[-1] if before else None
 
 

@@ -24,9 +24,8 @@ RANGE = 3.0  # standard deviations: examples tell whether programs agree, not ho
 # and chunks that are 1e-5 off, the runtime's limit, move a score by 6e-6 of it.
 CLEAR = 2e-5
 SAME = 1e-6  # candidates this near are one: which of them wins does not matter
-ATTEMPTS = (
-    50  # with other noise and images; after 20 with other observations too, after 40 with one noise a head
-)
+# Draws of other noise and images; from the 20th on of other observations too, from the 40th on of one noise a head.
+ATTEMPTS = 50
 
 
 # Run once a file: compiling takes longer than computing, so it is done without optimisation.

@@ -38,7 +38,6 @@ from tandem.learner.windows import Windows, make_windows
 
 Networks = dict[str, Params]  # by role: actor, critic, value, edit, temperature
 
-CRITICS, ACTORS = ("critic", "value"), ("actor", "edit", "temperature")  # two losses, two optimisers
 AVERAGED = ("actor", "edit", "critic")
 
 

@@ -19,7 +19,7 @@ from pydantic import TypeAdapter
 from tandem.learner.networks import act, best_of_n
 from tandem.learner.networks.base import Array, HeadConfig, Params
 from tandem.learner.networks.image import Camera
-from tandem.learner.networks.mlp import Mlp, actor_chunk, ensemble_values, init_ensemble, init_mlp
+from tandem.learner.networks.mlp import Mlp, ensemble_values, init_ensemble, init_mlp
 
 __all__ = [
     "HEADS",
@@ -28,7 +28,6 @@ __all__ = [
     "HeadConfig",
     "Mlp",
     "Params",
-    "actor_chunk",
     "cameras",
     "ensemble_values",
     "init_ensemble",

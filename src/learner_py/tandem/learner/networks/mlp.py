@@ -57,7 +57,8 @@ def noise_size(config: Config, n_axes: int) -> int:
 
 def chunk(params: Params, config: Config, x: Array, noise: Array, images: Images) -> Array:
     """Normalised observations (B, O) -> chunks (B, h, A) in [-1, 1]. No noise (B, 0), no images."""
-    return actor_chunk(params["layers"], x, config.activation, config.horizon)
+    output = jnp.tanh(forward(params["layers"], x.T, config.activation)).T
+    return output.reshape(x.shape[0], config.horizon, -1)
 
 
 def imitation_error(params: Params, config: Config, x: Array, target: Array, key: Array) -> Array:
@@ -109,12 +110,6 @@ def _hidden(layer: Layer, x: Array) -> Array:
     y = (weight - weight.mean(0)) @ x + (bias - bias.mean())[:, None]
     y = y * lax.rsqrt(jnp.mean(jnp.square(y), axis=0) + NORM_EPSILON)
     return y * layer["norm_scale"][:, None] + layer["norm_offset"][:, None]
-
-
-def actor_chunk(layers: Mlp, x: Array, activation: str, horizon: int) -> Array:
-    """Normalised observations (B, O) -> chunks (B, h, A) in [-1, 1]."""
-    output = jnp.tanh(forward(layers, x.T, activation)).T
-    return output.reshape(x.shape[0], horizon, -1)
 
 
 def init_ensemble(generator: np.random.Generator, members: int, sizes: Sequence[int]) -> Mlp:
