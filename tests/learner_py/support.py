@@ -32,6 +32,7 @@ def messages(
     | None = None,  # (T + 1, O), the last one is seen after the last step
     executed: Sequence[Sequence[float]] | None = None,  # (T, 7)
     intervention: Sequence[int] = (),
+    force_peak: Sequence[float] = (),  # (T,) N
     outcome: int = episode_end_t.SUCCESS,
     phase: int = world_state_t.TRAINING,
     n_steps: int = 5,
@@ -51,6 +52,7 @@ def messages(
         step.policy_action = [0.5] * 7
         step.human_action = [-0.5] * 7
         step.intervention = intervention[t] if intervention else 0
+        step.force_peak = force_peak[t] if force_peak else 0.0
         last = t == n_steps - 1
         step.terminated = int(last and outcome in (episode_end_t.SUCCESS, episode_end_t.FAILURE))
         step.truncated = int(last and outcome == episode_end_t.TIMEOUT)

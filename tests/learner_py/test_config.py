@@ -45,7 +45,7 @@ METHOD, LEARNER = "method", "method.learner"
         (LEARNER + ".head", {"kind": "cnn"}, r"method.learner.head.kind is 'cnn'; input should be 'mlp'"),
         (METHOD, {"discount": 1.5}, r"scenario.yaml:\d+: method.discount is 1.5; it must be in \(0, 1\]"),
         (METHOD + ".execution", {"mode": "ensemble"}, r"execution.mode is 'ensemble'; .*temporal_ensembling"),
-        (METHOD + ".execution", {"ensemble_decay": -0.1}, r"ensemble_decay is -0.1; it must be in \[0, 10\]"),
+        (METHOD + ".execution", {"ensemble_decay": -11.0}, r"ensemble_decay is -11(.0)?; it must be in \[-10, 10\]"),
         (METHOD + ".execution", {"latency_ticks": None}, r"execution.latency_ticks is missing"),
         ("task", {"action_axes": ["rz", "x"]}, r"must be in wire order"),
     ],

@@ -50,6 +50,16 @@ def test_time_out_and_failure_earn_nothing():
         assert not windows(support.episode(0, n_steps=4, outcome=outcome)).mc_return.any()
 
 
+def test_a_hard_contact_costs_what_came_before_it_cut_or_not():
+    episode = support.episode(0, n_steps=4, force_peak=[10, 70, 10, 0], intervention=[0, 0, 0, 1])
+    force = {"force_free_N": 50.0, "force_cost_per_N": 0.01}  # 20 N above: 0.2
+    np.testing.assert_allclose(
+        windows(episode, **force).mc_return, [0.729 - 0.18, 0.81 - 0.2, 0.9, 1.0], atol=1e-6
+    )
+    np.testing.assert_allclose(windows(episode, cut=True, **force).mc_return, [-0.18, -0.2, 0, 1], atol=1e-6)
+    np.testing.assert_allclose(windows(episode, **force).n_step_return, [0, -0.2, 0, 1], atol=1e-6)
+
+
 # what the value of the next observation counts, t = 0 .. 5 of an episode of six steps, discount 0.9
 ONE_STEP, FOUR_STEPS = [0.9] * 6, [0.9**4] * 3 + [0.9**3, 0.9**2, 0.9]
 

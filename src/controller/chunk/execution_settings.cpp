@@ -10,7 +10,7 @@ ExecutionSettings read_execution(Section section, int horizon, int ticks_per_ste
                                         : ExecutionMode::temporal_ensembling;
   settings.horizon = horizon;
   settings.execute = static_cast<int>(section.integer("execute", 1, horizon));
-  settings.ensemble_decay = section.number("ensemble_decay", 0.0, 10.0);
+  settings.ensemble_decay = section.number("ensemble_decay", -10.0, 10.0);
   settings.latency_ticks =
       static_cast<int>(section.integer("latency_ticks", 0, ticks_per_step - 1));
   settings.noise_chunk = section.number("noise_chunk", 0.0, 1.0);

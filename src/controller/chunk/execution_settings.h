@@ -12,7 +12,7 @@ struct ExecutionSettings {
   ExecutionMode mode = ExecutionMode::receding;
   int horizon = 1;              ///< h of every chunk, policy steps
   int execute = 1;              ///< open loop: steps of a chunk before the next inference, k <= h
-  double ensemble_decay = 0.0;  ///< temporal ensembling: weight exp(-decay i), i = 0 the oldest
+  double ensemble_decay = 0.0;  ///< temporal ensembling: weight exp(-decay i), i = 0 the oldest; negative: the newest counts most
   int latency_ticks = 0;        ///< lockstep: ticks from an observation to the take-over
   double noise_chunk = 0.0;     ///< exploration: standard deviation of one offset for the whole
                                 ///< chunk, action units

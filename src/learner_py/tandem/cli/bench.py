@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tandem.cli import bench_handover, bench_loop, bench_policy, bench_soak, bench_tracking
+from tandem.cli import bench_handover, bench_learner, bench_loop, bench_policy, bench_soak, bench_tracking
 from tandem.cli.common import JsonOption, SetOption, fail, sentences, write_json
 from tandem.processes import Command
 
@@ -22,6 +22,7 @@ def _group() -> None:
     """Measure speed; each figure beside a peer's from the same run."""
 
 
+app.command("learner")(bench_learner.learner)
 app.command("handover")(bench_handover.handover)
 app.command("tracking")(bench_tracking.tracking)
 app.command("loop")(bench_loop.loop)

@@ -42,7 +42,7 @@ class Execution(Strict):
 
     mode: Literal["receding", "open_loop", "temporal_ensembling"]
     execute: int = Field(ge=1, le=64)
-    ensemble_decay: float = Field(ge=0, le=10)
+    ensemble_decay: float = Field(ge=-10, le=10)
     latency_ticks: int = Field(ge=0, lt=1000)  # the controller checks it against the policy step
     noise_chunk: float = Field(ge=0, le=1)
     noise_step: float = Field(ge=0, le=1)
@@ -108,6 +108,8 @@ class Critic(Strict):
     activation: Activation
     weight_decay: float = Field(ge=0, le=100)
     cut_return_at_intervention: bool
+    force_free_N: float = Field(ge=0, le=1000)
+    force_cost_per_N: float = Field(ge=0, le=1)
     td: TdCritic
     expectile: float = Field(gt=0, lt=1)
 

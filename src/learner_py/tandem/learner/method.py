@@ -144,6 +144,8 @@ class Method:
             self.config.horizon,
             self.config.discount,
             cut_return_at_intervention=self.has_critic and critic.cut_return_at_intervention,
+            force_free_N=critic.force_free_N,
+            force_cost_per_N=critic.force_cost_per_N if self.has_critic else 0.0,
             bootstrap_steps=critic.td.steps,
             timeout_is_terminal=critic.td.timeout_is_terminal,
         )

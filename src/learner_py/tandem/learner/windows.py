@@ -3,6 +3,7 @@
     chunk[t]    executed actions t .. t+h-1, active axes only, human, robot or mixed
     valid[t]    which of them exist; the tail is padded by "hold" (zero delta, same gripper). A critic sees the padding,
                 because the robot does hold; imitation masks it, because nobody chose it.
+    r[t]        reward, less what the step's hardest contact costs
     G[t]        sum over k < T-t of gamma^k r[t+k]; a time-out earns 0 and nothing is bootstrapped
     R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], and what the value
                 of next_observation counts: gamma^min(n, T-t), 0 where the episode truly ended. A time-out is no end.
@@ -44,13 +45,16 @@ def make_windows(
     horizon: int,
     discount: float,
     cut_return_at_intervention: bool = False,
+    force_free_N: float = 0.0,
+    force_cost_per_N: float = 0.0,
     bootstrap_steps: int = 1,
     timeout_is_terminal: bool = False,
 ) -> Windows:
     """Cuts a learnable episode into windows. `columns`: the active axes among the 7 numbers of an action.
 
-    cut_return_at_intervention: autonomous steps that a human takeover follows later in the episode earn G = 0 (the
+    cut_return_at_intervention: autonomous steps that a human takeover follows later in the episode earn nothing (the
     rescue counts as failure of what came before); human steps, and autonomous ones after the last takeover, keep G.
+    force_cost_per_N: what each newton costs by which a step's largest contact force exceeds force_free_N.
     bootstrap_steps: n. timeout_is_terminal: b is 0 after a time-out too, as in HIL-SERL.
     """
     if not episode.is_learnable:
@@ -68,23 +72,26 @@ def make_windows(
     chunk = np.where(valid[:, :, None], executed, hold)[:, :, list(columns)]
 
     by_human = np.ones(length, bool) if episode.is_demonstration else episode.intervention
-    returns = discounted_returns(episode.reward, discount)
-    _check_returns(episode, returns, discount)
+    earned = discounted_returns(episode.reward, discount)
+    _check_returns(episode, earned, discount)
+    cost = force_cost_per_N * np.maximum(0.0, episode.force_peak - force_free_N)
+    paid = discounted_returns(cost, discount)
+    credited = earned
     if cut_return_at_intervention:
-        returns = np.where(~by_human & followed_by_intervention(by_human), 0.0, returns)
+        credited = np.where(~by_human & followed_by_intervention(by_human), 0.0, earned)
 
     ends = np.minimum(np.arange(length) + bootstrap_steps, length)  # (T,) the step after the last of the n
     over = episode.terminated[ends - 1] | (episode.truncated[ends - 1] & timeout_is_terminal)
     decay = discount ** (ends - np.arange(length))
-    earned = np.append(discounted_returns(episode.reward, discount), 0.0)
+    net = np.append(earned - paid, 0.0)
     return Windows(
         observation=episode.observation,
         chunk=chunk.astype(np.float32),
         valid=valid,
         human=valid & by_human[last],
-        mc_return=returns.astype(np.float32),
+        mc_return=(credited - paid).astype(np.float32),
         next_observation=episode.next_observation[ends - 1],
-        n_step_return=(earned[:-1] - decay * earned[ends]).astype(np.float32),
+        n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
     )
 
