@@ -145,6 +145,7 @@ class Improvement(Strict):
 
     kind: Literal["max_q", "imitate", "awr", "q_gradient", "sac", "e2hil", "expo"]
     data: Literal["all", "human", "demonstrations", "success"]
+    least_return: float = Field(ge=-1, lt=1)
     max_q: MaxQ
     awr: Awr
     sac: Sac

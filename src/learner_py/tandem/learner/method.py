@@ -176,7 +176,7 @@ class Method:
             "all": everything,
             "human": human,
             "demonstrations": everything & episode.is_demonstration,
-            "success": windows.mc_return > 0,
+            "success": windows.mc_return > self.config.learner.improvement.least_return,
         }[self.config.learner.improvement.data]
         # demonstrations and interventions; training episodes, interventions included (as HIL-SERL's two buffers)
         online = everything & (not episode.is_demonstration)
