@@ -5,6 +5,8 @@
 setup_dir=.setup
 extras_needed=no  # gym-hil: `bench sim` requires it, the videos of `train` and `demo` only look better with it
 ray_needed=no     # `table --ray`, `ablate --ray`, and their tests
+rerun_needed=no   # `export rerun`, `bench export`, and their tests
+lerobot_needed=no # LeRobot's own reader: tests alone
 peers_needed=no   # ONNX Runtime and OpenVINO, and the programs that stand beside them in `bench policy`
 
 say() { printf 'tandem: %s\n' "$*" >&2; }
@@ -54,13 +56,14 @@ install_packages() {
   as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends "$@"
 }
 
+# setup_packages NAME FILE: the Debian packages that FILE lists.
 setup_packages() {
-  local stamp wanted missing=() package
-  stamp=$(stamp_of scripts/debian-packages.txt)
-  stamped packages "$stamp" && return 0
+  local name=$1 file=$2 stamp wanted missing=() package
+  stamp=$(stamp_of "$file")
+  stamped "$name" "$stamp" && return 0
   command -v dpkg-query >/dev/null 2>&1 ||
-    die "dpkg-query is missing, so this is not Debian; Tandem is set up on Debian 12. Install the equivalents of scripts/debian-packages.txt and write '$stamp' to $setup_dir/packages.stamp."
-  wanted=$(sed 's/#.*//' scripts/debian-packages.txt)
+    die "dpkg-query is missing, so this is not Debian; Tandem is set up on Debian 12. Install the equivalents of $file and write '$stamp' to $setup_dir/$name.stamp."
+  wanted=$(sed 's/#.*//' "$file")
   for package in $wanted; do
     [ "$(dpkg-query -W -f '${db:Status-Abbrev}' "$package" 2>/dev/null)" = "ii " ] || missing+=("$package")
   done
@@ -72,10 +75,10 @@ setup_packages() {
       say "${#missing[@]} Debian packages are missing; sudo may ask for your password."
       sudo -v || die "sudo was refused. As root: $command"
     fi
-    run_step packages "Installing ${#missing[@]} Debian packages" install_packages "${missing[@]}" ||
-      die "Debian packages did not install ($(tail -n 1 "$setup_dir/packages.log")). See $PWD/$setup_dir/packages.log; by hand, as root: $command"
+    run_step "$name" "Installing ${#missing[@]} Debian packages" install_packages "${missing[@]}" ||
+      die "Debian packages did not install ($(tail -n 1 "$setup_dir/$name.log")). See $PWD/$setup_dir/$name.log; by hand, as root: $command"
   fi
-  write_stamp packages "$stamp"
+  write_stamp "$name" "$stamp"
 }
 
 # Prints a Python 3.11 interpreter.
@@ -93,6 +96,12 @@ find_python() {
 
 install_python() {
   .venv/bin/python -m pip install --disable-pip-version-check --no-input --no-deps -r "$1"
+}
+
+# install_lerobot FOLDER: a virtual environment that sees Debian's PyTorch.
+install_lerobot() {
+  /usr/bin/python3.11 -m venv --clear --system-site-packages "$1"
+  "$1/bin/python" -m pip install --disable-pip-version-check --no-input --no-deps -r requirements-lerobot.txt
 }
 
 setup_venv() {
@@ -133,6 +142,21 @@ setup_extras() {
 setup_ray() {
   install_more ray requirements-ray.txt Ray ||
     die "Ray did not install ($(tail -n 1 "$setup_dir/ray.log")). See $PWD/$setup_dir/ray.log; check the network and call again."
+}
+
+setup_rerun() {
+  install_more rerun requirements-rerun.txt Rerun ||
+    die "Rerun did not install ($(tail -n 1 "$setup_dir/rerun.log")). See $PWD/$setup_dir/rerun.log; check the network and call again."
+}
+
+setup_lerobot() {
+  local stamp
+  stamp=$(stamp_of requirements-lerobot.txt scripts/debian-packages-lerobot.txt)
+  stamped lerobot "$stamp" && return 0
+  setup_packages packages-lerobot scripts/debian-packages-lerobot.txt
+  run_step lerobot "Installing LeRobot's dataset reader" install_lerobot "$setup_dir/lerobot" ||
+    die "LeRobot's dataset reader did not install ($(tail -n 1 "$setup_dir/lerobot.log")). See $PWD/$setup_dir/lerobot.log; check the network and call again."
+  write_stamp lerobot "$stamp"
 }
 
 setup_peers() {
@@ -201,13 +225,14 @@ setup_all() {
   case "${1:-} ${2:-}" in
     "bench sim") extras_needed=required ;;
     "bench policy") peers_needed=yes ;;
-    "test "*) ray_needed=yes ;;
+    "test "*) ray_needed=yes rerun_needed=yes lerobot_needed=yes ;;
+    "export rerun" | "bench export") rerun_needed=yes ;;
     "train "* | "demo "*) extras_needed=wanted ;;
   esac
   for word in "$@"; do
     case "$word" in
       --ray | --ray=*) ray_needed=yes ;;
-      --help | -h) extras_needed=no ray_needed=no peers_needed=no; break ;;
+      --help | -h) extras_needed=no ray_needed=no rerun_needed=no lerobot_needed=no peers_needed=no; break ;;
     esac
   done
 
@@ -218,10 +243,12 @@ setup_all() {
     say "another call is setting up; waiting for it."
     flock 9
   fi
-  setup_packages
+  setup_packages packages scripts/debian-packages.txt
   setup_venv
   [ "$extras_needed" = no ] || setup_extras
   [ "$ray_needed" = no ] || setup_ray
+  [ "$rerun_needed" = no ] || setup_rerun
+  [ "$lerobot_needed" = no ] || setup_lerobot
   [ "$peers_needed" = no ] || setup_peers
   setup_build
   setup_loopback

@@ -14,6 +14,7 @@ from tandem.cli import (
     diagnose,
     doctor,
     evaluate,
+    export,
     log,
     policy,
     replay,
@@ -58,6 +59,7 @@ app.add_typer(bench.app, name="bench")
 app.command("table")(table.table)
 app.command("ablate")(ablate.ablate)
 app.command("replay")(replay.replay)
+app.command("export")(export.export)
 app.command("teleop")(teleop.teleop)
 app.add_typer(command.app, name="command")
 app.add_typer(policy.app, name="policy")

@@ -10,7 +10,15 @@ from typing import Annotated, Any
 
 import typer
 
-from tandem.cli import bench_handover, bench_learner, bench_loop, bench_policy, bench_soak, bench_tracking
+from tandem.cli import (
+    bench_export,
+    bench_handover,
+    bench_learner,
+    bench_loop,
+    bench_policy,
+    bench_soak,
+    bench_tracking,
+)
 from tandem.cli.common import JsonOption, SetOption, fail, sentences, write_json
 from tandem.processes import Command
 
@@ -27,6 +35,7 @@ app.command("handover")(bench_handover.handover)
 app.command("tracking")(bench_tracking.tracking)
 app.command("loop")(bench_loop.loop)
 app.command("policy")(bench_policy.policy)
+app.command("export")(bench_export.export)
 app.command("soak")(bench_soak.soak)
 
 

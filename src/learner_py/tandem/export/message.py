@@ -1,0 +1,68 @@
+"""LCM messages as JSON, and what the JSON means: a JSON schema with the words of the .lcm file."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import Any
+
+import tandem_lcm.tandem as types
+from pydantic_core import to_json
+
+from tandem.run_folder import ROOT
+
+_JSON_TYPES = {
+    "float": "number",
+    "double": "number",
+    "string": "string",
+    "boolean": "boolean",
+}  # others: integer
+_FIELD = re.compile(r"^\s*[\w.]+\s+(\w+)(?:\[\w+\])*;\s*//\s*(.*)$")
+_MORE = re.compile(r"^\s+//\s?(.*)$")
+
+
+def as_dict(message: Any) -> dict[str, Any]:
+    """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it."""
+    values = ((name, getattr(message, name)) for name in message.__slots__)
+    return {name: value for name, value in values if value == value}
+
+
+def as_json(message: Any) -> bytes:
+    return to_json(as_dict(message), fallback=as_dict, inf_nan_mode="null")
+
+
+@cache
+def json_schema(name: str) -> dict[str, Any]:
+    """JSON schema of a message type of the package tandem, e.g. robot_state_t."""
+    message_type = getattr(types, name)
+    words = _comments(name)
+    properties = {}
+    for field, kind, dimensions in zip(
+        message_type.__slots__, message_type.__typenames__, message_type.__dimensions__, strict=True
+    ):
+        schema: dict[str, Any]
+        if kind.startswith("tandem."):
+            schema = dict(json_schema(kind.removeprefix("tandem.")))
+        else:
+            schema = {"type": _JSON_TYPES.get(kind, "integer")}
+        for size in reversed(dimensions or []):
+            schema = {"type": "array", "items": schema}
+            if isinstance(size, int):
+                schema |= {"minItems": size, "maxItems": size}
+        properties[field] = schema | ({"description": words[field]} if field in words else {})
+    return {"title": f"tandem.{name}", "type": "object", "properties": properties}
+
+
+def _comments(name: str) -> dict[str, str]:
+    """Field -> the comment beside it: unit, frame, sign."""
+    words: dict[str, str] = {}
+    field = None
+    for line in (ROOT / "lcm_types" / f"{name}.lcm").read_text(encoding="utf-8").splitlines():
+        if match := _FIELD.match(line):
+            field = match[1]
+            words[field] = match[2].strip()
+        elif field and (match := _MORE.match(line)):
+            words[field] += " " + match[1].strip()
+        else:
+            field = None
+    return words
