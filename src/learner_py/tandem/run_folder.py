@@ -69,6 +69,11 @@ class RunFolder:
         return self.path / "train.out"
 
     @property
+    def buffer(self) -> Path:
+        """Digest of the learner's buffer when it ended: {episodes_trained_through, steps, sha256}."""
+        return self.path / "learner" / "buffer.json"
+
+    @property
     def lcm_url(self) -> Path:
         """The LCM address of the run, there while it is going."""
         return self.path / "lcm_url"
@@ -80,6 +85,14 @@ class RunFolder:
             if match := re.fullmatch(r"policy_at_(\d+)\.safetensors", file.name):
                 found[int(match[1])] = file
         return dict(sorted(found.items()))
+
+    def policies(self) -> dict[int, Path]:
+        """Version -> policy file, of those that are still on disk."""
+        found = {}
+        for file in (self.path / "policies").glob("policy_*.safetensors"):
+            if match := re.fullmatch(r"policy_(\d+)\.safetensors", file.name):
+                found[int(match[1])] = file
+        return found
 
     def evaluation(self, env_steps: int) -> Path:
         return self.evaluations / f"{env_steps:07d}.json"

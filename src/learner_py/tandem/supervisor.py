@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import lcm
 from rich.console import Console
@@ -22,7 +23,7 @@ from rich.live import Live
 from tandem_lcm.tandem.controller_status_t import controller_status_t
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 
-from tandem import live_view, processes, summary
+from tandem import demonstrations, live_view, processes, summary
 from tandem.checkpoints import Checkpoints
 from tandem.conclusion import conclude
 from tandem.evaluation import EvaluationError
@@ -63,6 +64,7 @@ class Settings:
     lcm_url: str | None = None
     fresh: bool = False
     operator: str = "scripted"  # or keyboard, gamepad; or none: a program of the user's answers WORLD_STATE
+    demonstrations: Path | None = None  # a log whose demonstrations a new run begins with
 
 
 def train(settings: Settings, console: Console) -> int:
@@ -144,6 +146,8 @@ class _Supervisor:
                 self.console.print(f"{shown(self.folder.path)} is finished; --fresh starts it anew.")
                 self.console.print(summary.table(json.loads(self.folder.summary.read_text())))
                 return 0
+            if self.settings.demonstrations and not self.folder.log.exists():
+                demonstrations.begin(self.folder.log, self.scenario, self.settings.demonstrations)
             self.clock = Clock(self.folder.clock)
             self.clock.value["resumed"] += int(resumed)
             self._recall()

@@ -15,6 +15,7 @@ from tandem.cli import (
     doctor,
     evaluate,
     export,
+    import_,
     log,
     policy,
     replay,
@@ -60,6 +61,7 @@ app.command("table")(table.table)
 app.command("ablate")(ablate.ablate)
 app.command("replay")(replay.replay)
 app.command("export")(export.export)
+app.command("import")(import_.import_)
 app.command("teleop")(teleop.teleop)
 app.add_typer(command.app, name="command")
 app.add_typer(policy.app, name="policy")

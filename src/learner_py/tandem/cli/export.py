@@ -32,14 +32,16 @@ def export(
         Format,
         typer.Argument(
             metavar="FORMAT",
-            help="lerobot: LeRobotDataset v3.0 (a folder); mcap: for Foxglove and PlotJuggler; rerun: .rrd with the arm in"
-            " 3D; csv, parquet: a table of policy steps, or of one channel.",
+            help="lerobot: LeRobotDataset v3.0 (a folder); mcap: for Foxglove and PlotJuggler; rerun: .rrd with the"
+            " arm in 3D; csv, parquet: a table of policy steps, or of one channel.",
         ),
     ],
     log: Annotated[Path, typer.Argument(help="Event log, or a run folder.")],
     out: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="File or folder to make [default: beside the log, named after it]."),
+        typer.Option(
+            metavar="PATH", help="File or folder to make [default: beside the log, named after it]."
+        ),
     ] = None,
     episodes: Annotated[
         str, typer.Option(metavar="N-M,...", help="Only these episodes, e.g. 3-10,15 [default: all].")

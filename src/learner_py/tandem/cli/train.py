@@ -3,11 +3,12 @@
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from tandem.cli.common import SetOption, fail, same_command, sentences
+from tandem.cli.log import find
 
 
 class Clock(StrEnum):
@@ -27,8 +28,16 @@ PERSONS = (Operator.keyboard, Operator.gamepad)
 
 def train(
     task: Annotated[str, typer.Argument(help="Task: a file of config/tasks, e.g. peg.")],
-    method: Annotated[str, typer.Option(help="Method: a file of config/methods.")] = "tandem",
-    seed: Annotated[int, typer.Option(help="Seed of everything random, 0 to 999999.")] = 0,
+    method: Annotated[
+        str | None,
+        typer.Option(help="Method: a file of config/methods [default: tandem; with --from that of the log]."),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            help="Seed of everything random, 0 to 999999 [default: 0; with --from that of the log]."
+        ),
+    ] = None,
     run: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Run folder [default: runs/TASK-METHOD-seedSEED].")
     ] = None,
@@ -45,6 +54,23 @@ def train(
             " none: your own program answers WORLD_STATE."
         ),
     ] = Operator.scripted,
+    demonstrations: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG",
+            help="Begin with the successful demonstrations of this log (see ./tandem import); the operator adds what"
+            " run.demonstrations asks for beyond them.",
+        ),
+    ] = None,
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="LOG",
+            help="Without an arm: rebuild the buffer from this log (or run), do the updates of its episodes, write the"
+            " policy to --run [default: runs/TASK-METHOD-seedSEED-offline].",
+        ),
+    ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Start anew; the old folder is kept as DIR.old-N.")
     ] = False,
@@ -65,8 +91,18 @@ def train(
 
     from tandem import run_folder, scenario, supervisor
 
+    if source is not None:
+        from tandem.cli.train_from import train_from
+
+        return train_from(task, source, method, seed, run, fresh, overrides or [])
+    method, seed = method or "tandem", seed or 0
     with sentences():
-        values = {"mode": "train", "seed": seed, "clock": clock.value}
+        values: dict[str, Any] = {"mode": "train", "seed": seed, "clock": clock.value}
+        if demonstrations is not None:
+            from tandem.demonstrations import count
+
+            demonstrations = find(demonstrations)
+            values["demonstrations"] = count(demonstrations)
         composed = scenario.compose(run_folder.CONFIG, task, method, values, overrides or [])
         if operator in PERSONS and composed.run["clock"] != "realtime":
             fail(
@@ -84,6 +120,7 @@ def train(
             lcm_url=lcm_url,
             fresh=fresh,
             operator=operator.value,
+            demonstrations=demonstrations,
         )
         code = supervisor.train(settings, Console())
     raise typer.Exit(code)

@@ -11,12 +11,14 @@ from pydantic_core import to_json
 
 from tandem.run_folder import ROOT
 
-_JSON_TYPES = {
+_INTEGERS = ("byte", "int8_t", "int16_t", "int32_t", "int64_t")
+JSON_TYPES = {  # of the primitive types; others are messages inside messages
     "float": "number",
     "double": "number",
     "string": "string",
     "boolean": "boolean",
-}  # others: integer
+    **dict.fromkeys(_INTEGERS, "integer"),
+}
 _FIELD = re.compile(r"^\s*[\w.]+\s+(\w+)(?:\[\w+\])*;\s*//\s*(.*)$")
 _MORE = re.compile(r"^\s+//\s?(.*)$")
 
@@ -40,11 +42,8 @@ def json_schema(name: str) -> dict[str, Any]:
     for field, kind, dimensions in zip(
         message_type.__slots__, message_type.__typenames__, message_type.__dimensions__, strict=True
     ):
-        schema: dict[str, Any]
-        if kind.startswith("tandem."):
-            schema = dict(json_schema(kind.removeprefix("tandem.")))
-        else:
-            schema = {"type": _JSON_TYPES.get(kind, "integer")}
+        primitive = JSON_TYPES.get(kind)
+        schema = {"type": primitive} if primitive else dict(json_schema(kind.rpartition(".")[2]))
         for size in reversed(dimensions or []):
             schema = {"type": "array", "items": schema}
             if isinstance(size, int):

@@ -18,6 +18,8 @@ from tandem.log import LogMessage, episodes, messages
 from tandem.run_folder import RunFolderError, shown
 from tandem.summary import read_episodes
 
+_NO_END = 2**62  # of a range such as 3-
+
 
 @dataclass(frozen=True)
 class Source:
@@ -53,7 +55,7 @@ class Source:
 
 
 def open_source(log: Path, numbers: str = "", phase: str = "") -> Source:
-    """numbers: `3-10,15`; phase: demonstration, training or evaluation; empty: all.
+    """numbers: `3-10,15,20-`; phase: demonstration, training or evaluation; empty: all.
 
     Raises RunFolderError with a sentence when the log has no scenario or no such episode.
     """
@@ -84,9 +86,9 @@ def open_source(log: Path, numbers: str = "", phase: str = "") -> Source:
 def _ranges(numbers: str) -> list[range]:
     parts = []
     for word in filter(None, (word.strip() for word in numbers.split(","))):
-        first, _, last = word.partition("-")
+        first, dash, last = word.partition("-")
         try:
-            part = range(int(first), int(last or first) + 1)
+            part = range(int(first), (int(last) if last else _NO_END if dash else int(first)) + 1)
         except ValueError:
             part = range(0)
         if not part:

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from tandem.export.message import as_dict
+from tandem.export.message import JSON_TYPES, as_dict
 from tandem.export.source import Source, whole_or_not_at_all
 from tandem.learner.episode import ACTION_AXES, Episode
 from tandem.run_folder import RunFolderError
@@ -90,9 +90,9 @@ def channel_table(source: Source, channel: str) -> pa.Table:
         message_type.__slots__, message_type.__typenames__, message_type.__dimensions__, strict=True
     ):
         values = [getattr(message, name) for _, message in rows]
-        if dimensions is None and "." not in kind:
+        if dimensions is None and kind in JSON_TYPES:
             table[name] = values
-        elif dimensions and all(isinstance(size, int) for size in dimensions) and "." not in kind:
+        elif dimensions and all(isinstance(size, int) for size in dimensions) and kind in JSON_TYPES:
             spread = np.array(values).reshape(len(rows), -1)
             for column, index in enumerate(np.ndindex(*dimensions)):
                 table[".".join([name, *map(str, index)])] = spread[:, column]

@@ -7,6 +7,7 @@ set: which sets there are is the method's affair.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from functools import partial
@@ -99,6 +100,18 @@ class ReplayBuffer:
             padded = np.zeros(self.allocated, np.int32)
             padded[: len(listed)] = listed
             self.rows[name] = RowSet(jnp.asarray(padded), jnp.int32(len(listed)))
+
+    def sha256(self) -> str:
+        """Hex digest over everything that a minibatch can be drawn from: equal digests, equal training."""
+        digest = hashlib.sha256()
+        for name, array in sorted(self.arrays.items()):
+            rows = np.asarray(array[: self.size])
+            digest.update(f"{name} {rows.dtype.str} {rows.shape} ".encode())
+            digest.update(np.ascontiguousarray(rows).tobytes())
+        for name, row_set in sorted(self.rows.items()):
+            digest.update(f"{name} {int(row_set.n)} ".encode())
+            digest.update(np.asarray(row_set.listed[: int(row_set.n)]).tobytes())
+        return digest.hexdigest()
 
     def sample_observations(self, count: int) -> np.ndarray:
         """Up to `count` stored raw observations (n, O), evenly spread over the buffer."""

@@ -121,6 +121,31 @@ class Episode:
             force_peak=floats("force_peak", (length,)),
         )
 
+    def to_messages(self) -> tuple[list[episode_step_t], episode_end_t]:
+        """The opposite of from_messages. What an Episode does not keep (times, torque digests) is 0."""
+        steps = []
+        for t in range(self.n_steps):
+            step = episode_step_t()
+            step.episode, step.step, step.n_observation = self.number, t, self.observation.shape[1]
+            for name in (
+                "observation",
+                "next_observation",
+                "policy_action",
+                "human_action",
+                "executed_action",
+            ):
+                setattr(step, name, getattr(self, name)[t].tolist())
+            for name in ("alpha", "reward", "discounted_return", "force_peak"):
+                setattr(step, name, float(getattr(self, name)[t]))
+            names = ("intervention", "terminated", "truncated", "policy_version", "chunk_id", "chunk_index")
+            for name in names:
+                setattr(step, name, int(getattr(self, name)[t]))
+            steps.append(step)
+        end = episode_end_t.decode(self.end.encode())
+        end.episode, end.n_steps = self.number, self.n_steps
+        end.steps_sha256 = steps_digest(step.encode() for step in steps)
+        return steps, end
+
 
 def steps_digest(encoded_steps: Iterable[bytes]) -> str:
     """sha256 hex over the encoded EPISODE_STEP messages in step order, bytes exactly as received."""

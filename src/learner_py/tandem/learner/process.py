@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 import signal
 import threading
 import time
@@ -25,7 +24,7 @@ from tandem.learner.link import Link
 from tandem.learner.trainer import Report, Trainer
 from tandem.log import episodes
 from tandem.policy_file import PolicyFileError, describe, read_header
-from tandem.run_folder import git_revision
+from tandem.run_folder import RunFolder, git_revision, write_json
 
 SILENCE_TOLD_S = (5.0, 30.0, 60.0, 90.0)  # sentences while the controller is silent
 SILENCE_LIMIT_S = 120.0
@@ -116,9 +115,9 @@ class LearnerProcess:
             self.trainer.restore(self._checkpoint)
             say(f"resuming after {self.trainer.updates} updates")
         self._offer_log()
-        for version in sorted(self._policies()):
+        for version, file in sorted(RunFolder(self.run_folder).policies().items()):
             if version <= self.trainer.position.version:
-                self._announce(self._policies()[version])
+                self._announce(file)
 
     def _offer_log(self) -> None:
         log = self.run_folder / "log.lcm"
@@ -179,6 +178,7 @@ class LearnerProcess:
     def _end(self, exit_code: int) -> int:
         position = self.trainer.position
         self._save(every_s=0.0)
+        write_json(RunFolder(self.run_folder).buffer, self.trainer.buffer_digest())
         self._report(training=False)  # after a resume nothing may have been trained, and so nothing told
         if (
             exit_code == FINISHED
@@ -203,20 +203,12 @@ class LearnerProcess:
             self.trainer.save(self._checkpoint)
             self._saved = time.monotonic()
 
-    def _policies(self) -> dict[int, Path]:
-        """Version -> file, of the policies on disk."""
-        found = {}
-        for path in (self.run_folder / "policies").glob("policy_*.safetensors"):
-            if match := re.fullmatch(r"policy_(\d+)\.safetensors", path.name):
-                found[int(match[1])] = path
-        return found
-
     def _publish_policy(self) -> None:
         version = self.trainer.position.version
         path = self.run_folder / "policies" / f"policy_{version:06d}.safetensors"
         self.trainer.write_policy(path)
         self._announce(path)
-        for old, file in self._policies().items():
+        for old, file in RunFolder(self.run_folder).policies().items():
             if old <= version - self.n_kept_policies:
                 file.unlink()
 

@@ -266,6 +266,14 @@ class Trainer:
         golden = np.clip(np.concatenate([seen, random]), -RANGE, RANGE)
         return (mean + golden / scale).astype(np.float32)
 
+    def buffer_digest(self) -> dict[str, object]:
+        """What the buffer holds, in a form that two trainings are compared by."""
+        return {
+            "episodes_trained_through": self.position.episodes_trained_through,
+            "steps": self.buffer.size,
+            "sha256": self.buffer.sha256(),
+        }
+
     def save(self, path: Path) -> None:
         checkpoint.save(path, self.state, self.normalizer, self.position, self.scenario.fingerprint())
 
