@@ -1,11 +1,15 @@
 """A real run, small: two demonstrations and a few training episodes, its log written by the real controller."""
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
+# Compiling takes most of a small run's time, so nothing is optimised; here as in the programs, which inherit it: equal
+# programs give equal bits.
+os.environ["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
 
 from small_run import compose, train
 

@@ -15,6 +15,7 @@ from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.scenario_t import scenario_t
 
 from tandem.learner.episode import Episode
+from tandem.learner.windows import with_discount
 from tandem.log import episodes
 from tandem.run_folder import RunFolderError, git_revision, shown
 from tandem.scenario import Scenario
@@ -44,7 +45,8 @@ def begin(log: Path, scenario: Scenario, source: Path) -> None:
             f"{shown(source)} has observations of {width} numbers, and {task['name']} of {len(task['observation'])};"
             " give demonstrations of the same task."
         )
-    write_log(log, scenario, given)
+    discount = scenario.data["method"]["discount"]
+    write_log(log, scenario, (with_discount(episode, discount) for episode in given))
 
 
 def write_log(log: Path, scenario: Scenario, given: Iterable[Episode]) -> None:

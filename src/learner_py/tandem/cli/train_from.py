@@ -27,7 +27,8 @@ def train_from(
 
     log = find(source)
     with sentences():
-        composed = _scenario(log, task, method, seed, overrides)
+        composed, discount = _scenario(log, task, method, seed, overrides)
+        other_discount = composed.data["method"]["discount"] != discount
         name = f"{task}-{composed.run['method']}-seed{composed.run['seed']}-offline"
         folder = RunFolder((run or run_folder.RUNS / name).absolute())
         if folder.path == log.absolute().parent:
@@ -42,7 +43,7 @@ def train_from(
                 print(f"The old run is kept as {shown(folder.set_aside())}.")
             composed.write(folder.scenario)
             try:
-                result = train_from(log, load_scenario(folder.scenario), folder, print)
+                result = train_from(log, load_scenario(folder.scenario), folder, print, other_discount)
             except ValueError as error:
                 fail(str(error))
     if result.missing:
@@ -53,7 +54,6 @@ def train_from(
     print(f"buffer: {buffer['steps']} steps, sha256 {buffer['sha256']}{_said(comparison.buffer_equal)}")
     for version, equal in comparison.policies_equal.items():
         print(f"policy {version}:{_said(equal)}")
-    unequal = [comparison.buffer_equal, *comparison.policies_equal.values()].count(False)
     run_folder.write_json(
         folder.path / "offline.json",
         {
@@ -67,7 +67,7 @@ def train_from(
         },
     )
     if comparison.buffer_equal is False:
-        fail(f"{unequal} of what the run left differs from what its log gives; was the log changed?")
+        fail("the buffer differs from the one that the run left: its log has lost or changed episodes since.")
 
 
 def _said(equal: bool | None) -> str:
@@ -76,8 +76,10 @@ def _said(equal: bool | None) -> str:
     ]
 
 
-def _scenario(log: Path, task: str, method: str | None, seed: int | None, overrides: list[str]) -> Any:
-    """The log's own scenario; with another method, today's config of it with the log's `run`."""
+def _scenario(
+    log: Path, task: str, method: str | None, seed: int | None, overrides: list[str]
+) -> tuple[Any, float]:
+    """The log's own scenario (with another method: today's config of it, the log's `run`), and the log's discount."""
     import tempfile
 
     from tandem import run_folder, scenario
@@ -93,6 +95,7 @@ def _scenario(log: Path, task: str, method: str | None, seed: int | None, overri
         recorded = scenario.load(file)
     if recorded.run["task"] != task:
         fail(f"{log} was recorded with task {recorded.run['task']}, not {task}.", 2)
+    discount = recorded.data["method"]["discount"]
     if method is not None and method != recorded.run["method"]:
         kept = {key: value for key, value in recorded.run.items() if key not in ("task", "method")}
         recorded = scenario.compose(run_folder.CONFIG, task, method, kept)
@@ -100,4 +103,4 @@ def _scenario(log: Path, task: str, method: str | None, seed: int | None, overri
         recorded.run["seed"] = seed
     for assignment in overrides:
         recorded.override(assignment)
-    return recorded
+    return recorded, discount

@@ -16,6 +16,7 @@ import numpy as np
 from tandem.learner.config import LearnerScenario, load_scenario
 from tandem.learner.episode import Episode
 from tandem.learner.trainer import Report, Trainer
+from tandem.learner.windows import with_discount
 from tandem.log import episodes
 from tandem.policy_file import read_safetensors
 from tandem.run_folder import RunFolder, git_revision
@@ -27,7 +28,9 @@ Say = Callable[[str], None]
 class Comparison:
     """How this training compares with the run that wrote the log, as far as the run left its own account."""
 
-    buffer_equal: bool | None = None  # None: the run left no digest of its buffer at this point
+    buffer_equal: bool | None = (
+        None  # None: the run left no digest of its buffer, or it was another scenario's
+    )
     policies_equal: dict[int, bool] = field(default_factory=dict)  # by version, every tensor to the bit
 
 
@@ -41,17 +44,22 @@ class OfflineResult:
     comparison: Comparison
 
 
-def train_from(log: Path, scenario: LearnerScenario, folder: RunFolder, say: Say) -> OfflineResult:
+def train_from(
+    log: Path, scenario: LearnerScenario, folder: RunFolder, say: Say, other_discount: bool = False
+) -> OfflineResult:
     """Writes the policies of the checkpoints and the last one as `policy.safetensors` into `folder`.
 
+    other_discount: the log was recorded with another one, so its returns are not those of this scenario.
     Raises ValueError with a sentence when there is nothing to learn from or the log contradicts the scenario.
     """
     trainer = Trainer(scenario, git_revision())
     told = sorted(episodes(log), key=lambda episode: episode.number)
+    if other_discount:
+        told = [with_discount(episode, scenario.method.discount) for episode in told]
     missing = sorted(set(range(max((e.number for e in told), default=-1) + 1)) - {e.number for e in told})
     run = _same_run(log, scenario)
     recorded = json.loads(run.buffer.read_text()) if run and run.buffer.is_file() else {}
-    comparison = Comparison()
+    comparison = Comparison(buffer_equal=False if recorded else None)  # until its last episode comes
     if scenario.run.demonstrations == 0:
         trainer.position.version = 1
         _keep(trainer, folder, -1, say)

@@ -14,7 +14,7 @@ A window never reaches into another episode, because it is cut out of one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,6 +104,12 @@ def discounted_returns(reward: Floats, discount: float) -> np.ndarray:
         running = float(reward[step]) + discount * running
         returns[step] = running
     return returns
+
+
+def with_discount(episode: Episode, discount: float) -> Episode:
+    """The same episode for a run with another discount than the one that it was recorded in."""
+    returns = discounted_returns(episode.reward, discount).astype(np.float32)
+    return replace(episode, discounted_return=returns)
 
 
 def followed_by_intervention(by_human: Bools) -> Bools:
