@@ -129,3 +129,14 @@ def changed(dataset: Path, copy: Path, name: str, change) -> None:
     )
     (copy / file).parent.mkdir(parents=True)
     pq.write_table(table, copy / file)
+
+
+def test_no_more_demonstrations_are_taken_than_the_run_asks_for(run: RunFolder, tmp_path: Path) -> None:
+    demonstrations.begin(tmp_path / "log.lcm", compose("run.demonstrations=1"), run.log)
+    assert [episode.number for episode in episodes(tmp_path / "log.lcm")] == [0]
+
+
+def test_demonstrations_get_the_returns_of_the_runs_own_discount(run: RunFolder, tmp_path: Path) -> None:
+    demonstrations.begin(tmp_path / "log.lcm", compose("method.discount=0.5"), run.log)
+    first = next(episodes(tmp_path / "log.lcm"))
+    np.testing.assert_allclose(first.discounted_return[::-1], 0.5 ** np.arange(first.n_steps), rtol=1e-6)

@@ -36,11 +36,11 @@ def count(log: Path) -> int:
 
 
 def begin(log: Path, scenario: Scenario, source: Path) -> None:
-    """Writes a new log that begins with the demonstrations of another one."""
-    given = successful(source)
+    """Writes a new log that begins with the demonstrations of another one, as many as the scenario asks for."""
+    given = successful(source)[: scenario.run["demonstrations"]]
     task = scenario.data["task"]
-    width = given[0].observation.shape[1]
-    if width != len(task["observation"]):
+    width = given[0].observation.shape[1] if given else 0
+    if given and width != len(task["observation"]):
         raise RunFolderError(
             f"{shown(source)} has observations of {width} numbers, and {task['name']} of {len(task['observation'])};"
             " give demonstrations of the same task."
