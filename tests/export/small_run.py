@@ -37,8 +37,8 @@ def train(folder: RunFolder, setting: scenario.Scenario) -> None:
     with (folder.path / "out.txt").open("w") as out:
         partners = [subprocess.Popen(list(map(str, c)), stdout=out, stderr=out) for c in (learner, operator)]
         try:
-            done = subprocess.run(list(map(str, controller)), stdout=out, stderr=out, timeout=120)
-            assert partners[0].wait(timeout=60) == 0 and done.returncode == 0, out_of(folder)
+            done = subprocess.run(list(map(str, controller)), stdout=out, stderr=out, timeout=300)
+            assert partners[0].wait(timeout=300) == 0 and done.returncode == 0, out_of(folder)
         finally:
             for process in partners:
                 process.terminate()

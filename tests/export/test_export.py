@@ -42,7 +42,7 @@ def test_lerobots_own_reader_gives_the_steps_of_the_log(
 ) -> None:
     dataset = export("lerobot", run, tmp_path / "set", "--instruction", "Put the peg into the hole.")
     command = [lerobot_python, READER, "read", dataset, tmp_path / "read.npz"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
     read = np.load(tmp_path / "read.npz")
     facts = json.loads(str(read["facts"]))

@@ -75,7 +75,7 @@ def test_dataset_that_lerobot_wrote_is_read_by_name(lerobot_python: Path, tmp_pa
     names = {"observation.state": state_names, "action": action_names}
     np.savez(tmp_path / "in.npz", names=json.dumps(names), **given)
     command = [lerobot_python, READER, "write", tmp_path / "set", tmp_path / "in.npz"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-3000:]
 
     first, second = imported(tmp_path / "set", tmp_path / "log.lcm")

@@ -81,7 +81,7 @@ def write(source: Source, path: Path) -> dict[str, int]:
                 if "tf" not in channels:
                     channels["tf"] = _register(writer, "tf", "foxglove.FrameTransforms", FRAME_TRANSFORMS)
                 time = 1000 * event.timestamp
-                data = to_json({"transforms": [_transform(event.message, time, *pose) for pose in poses]})
+                data = _transforms(event.message, time, poses)
                 writer.add_message(channel_id=channels["tf"], log_time=time, publish_time=time, data=data)
         writer.finish()
     return {"episodes": len(source.ends), "messages": n_messages, "channels": len(channels)}
@@ -100,12 +100,19 @@ def _add_origin(writer: Writer, source: Source) -> None:
     writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", text)
 
 
-def _transform(message: Any, time: int, frame: str, position: str, orientation: str) -> dict[str, Any]:
-    w, *imaginary = getattr(message, orientation)
-    return {
-        "timestamp": {"sec": time // 10**9, "nsec": time % 10**9},
-        "parent_frame_id": BASE_FRAME,
-        "child_frame_id": frame,
-        "translation": dict(zip("xyz", getattr(message, position), strict=True)),
-        "rotation": dict(zip("xyz", imaginary, strict=True)) | {"w": w},
-    }
+def _transforms(message: Any, time: int, poses: list[tuple[str, str, str]]) -> bytes:
+    stamp = {"sec": time // 10**9, "nsec": time % 10**9}
+    transforms = []
+    for frame, position, orientation in poses:
+        x, y, z = getattr(message, position)
+        w, i, j, k = getattr(message, orientation)
+        transforms.append(
+            {
+                "timestamp": stamp,
+                "parent_frame_id": BASE_FRAME,
+                "child_frame_id": frame,
+                "translation": {"x": x, "y": y, "z": z},
+                "rotation": {"x": i, "y": j, "z": k, "w": w},
+            }
+        )
+    return to_json({"transforms": transforms})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from functools import cache
+from operator import attrgetter
 from typing import Any
 
 import tandem_lcm.tandem as types
@@ -25,8 +27,22 @@ _MORE = re.compile(r"^\s+//\s?(.*)$")
 
 def as_dict(message: Any) -> dict[str, Any]:
     """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it."""
-    values = ((name, getattr(message, name)) for name in message.__slots__)
-    return {name: value for name, value in values if value == value}
+    message_type: Any = type(message)
+    names, read, fractions = _reader(message_type)
+    values = dict(zip(names, read(message), strict=True))
+    for name in fractions:
+        if values[name] != values[name]:
+            del values[name]
+    return values
+
+
+@cache
+def _reader(message_type: Any) -> tuple[list[str], Callable[[Any], tuple[Any, ...]], list[str]]:
+    """Names of the fields, what reads them all at once, and names of those that are one floating-point number."""
+    names = message_type.__slots__
+    kinds = zip(names, message_type.__typenames__, message_type.__dimensions__, strict=True)
+    fractions = [name for name, kind, sizes in kinds if kind in ("float", "double") and sizes is None]
+    return names, attrgetter(*names), fractions
 
 
 def as_json(message: Any) -> bytes:
