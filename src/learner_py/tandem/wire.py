@@ -125,6 +125,15 @@ class Wire:
         subscription = self._lcm.subscribe(channel, receive)
         subscription.set_queue_capacity(0 if channel.startswith("EPISODE_") else 30)
 
+    def subscribe_raw(self, pattern: str, handler: Callable[[str, bytes], None]) -> None:
+        """Calls handler(channel, data) for every message on channels that match a regular expression, not decoded.
+        The queue is unlimited: call `handle_one` all the time, or it grows."""
+        self._lcm.subscribe(pattern, handler).set_queue_capacity(0)
+
+    def handle_one(self, timeout_s: float) -> bool:
+        """Waits up to timeout_s for a message and handles it; False when none came. The cheapest way to hear many."""
+        return bool(self._lcm.handle_timeout(max(1, int(1000 * timeout_s))))
+
     def handle(self, timeout_s: float) -> int:
         """Waits up to timeout_s for a message, then handles all that are there. Returns how many."""
         n = 0

@@ -17,6 +17,7 @@ from tandem.cli import (
     bench_loop,
     bench_policy,
     bench_soak,
+    bench_spy,
     bench_tracking,
 )
 from tandem.cli.common import JsonOption, SetOption, fail, sentences, write_json
@@ -37,6 +38,7 @@ app.command("loop")(bench_loop.loop)
 app.command("policy")(bench_policy.policy)
 app.command("export")(bench_export.export)
 app.command("soak")(bench_soak.soak)
+app.command("spy")(bench_spy.spy)
 
 
 @app.command("sim")

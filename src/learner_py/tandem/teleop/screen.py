@@ -16,8 +16,8 @@ from tandem.teleop.watch import Watch, object_in_goal
 BAR, SHORT_BAR = 24, 6  # characters
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _KEY_COLUMNS = 3
-_GRADES = ("fresh", "hold", "damp", "stop")
-_SOURCES = ("policy", "operator", "link")
+GRADES = ("fresh", "hold", "damp", "stop")
+SOURCES = ("policy", "operator", "link")
 
 
 @dataclass
@@ -54,7 +54,7 @@ def rows(view: View, watch: Watch, encoding: str = "utf-8") -> list[tuple[str, T
     if watch.robot is not None:
         alpha = watch.robot.alpha
         shown.append(("authority", Text(f"{bar(alpha, encoding)} {alpha:.2f}")))
-        shown += _forces(watch.robot, encoding)
+        shown += forces(watch.robot, encoding)
     if watch.world is not None:
         (x, y, z), turn, tilt = object_in_goal(watch.world)
         pose = f"x {1000 * x:+6.1f}  y {1000 * y:+6.1f}  z {1000 * z:+6.1f} mm from goal"
@@ -77,9 +77,9 @@ def _mode(watch: Watch) -> Text:
     if watch.world is not None and status.state == controller_status_t.RUNNING:
         text += f", step {watch.world.step} of {watch.world.max_steps}"
     stale = [
-        f"{source} {_GRADES[grade]}"
-        for source, grade in zip(_SOURCES, status.source_grade, strict=True)
-        if 0 < grade < len(_GRADES)
+        f"{source} {GRADES[grade]}"
+        for source, grade in zip(SOURCES, status.source_grade, strict=True)
+        if 0 < grade < len(GRADES)
     ]
     if stale:
         text += f"   silent: {', '.join(stale)}"
@@ -88,7 +88,8 @@ def _mode(watch: Watch) -> Text:
     return Text(text, style="bold red" if status.state == controller_status_t.HALTED else "bold")
 
 
-def _forces(robot: Any, encoding: str) -> list[tuple[str, Text]]:
+def forces(robot: Any, encoding: str = "utf-8") -> list[tuple[str, Text]]:
+    """Force and moment on the tool against the bound of the impedance law, axis by axis."""
     shown = []
     for label, unit, first in (("force", "N", 0), ("moment", "N m", 3)):
         text = Text()
