@@ -16,6 +16,7 @@ from tandem.cli import (
     bench_learner,
     bench_loop,
     bench_policy,
+    bench_recording,
     bench_soak,
     bench_spy,
     bench_tracking,
@@ -39,6 +40,7 @@ app.command("policy")(bench_policy.policy)
 app.command("export")(bench_export.export)
 app.command("soak")(bench_soak.soak)
 app.command("spy")(bench_spy.spy)
+app.command("recording")(bench_recording.recording)
 
 
 @app.command("sim")

@@ -20,8 +20,9 @@ def spy(
 ) -> None:
     """CPU share of ./tandem spy (user + system, of one core) in a terminal of 80 x 24, its pages in turns, while
     another program publishes 10 channels at 1 kHz over LCM on this machine; messages lost, by their numbers; time from
-    publishing to receipt. To reach: 25 % of a core, none lost. JSON: channels, hz, pages [{page, cpu_share, sent,
-    received, lost, gaps, undecodable, latency_ms {p50, p99, max}}], cpu_share (the largest), lost, reached.
+    publishing to receipt; beside it the share of a program that does nothing but receive by the lcm package.
+    To reach: 25 % of a core, none lost. JSON: channels, hz, pages [{page, cpu_share, sent, received, lost, gaps,
+    undecodable, latency_ms {p50, p99, max}}], cpu_share (the largest), reader_cpu_share, ratio, lost, reached.
     """
     from tandem import processes, run_folder
     from tandem.spy import bench
@@ -30,6 +31,11 @@ def spy(
     found: list[dict[str, Any]] = []
     with sentences(), tempfile.TemporaryDirectory(prefix="tandem-bench-") as name:
         try:
+            reader = bench.measure_reader(Path(name), processes.free_lcm_url(), load)
+            print(
+                f"reading   {100 * reader:5.1f} % of a core by a Python program that only receives",
+                flush=True,
+            )
             for page in PAGES:
                 found.append(bench.measure(Path(name), processes.free_lcm_url(), load, page, (80, 24)))
                 print(_line(found[-1]), flush=True)
@@ -41,6 +47,8 @@ def spy(
         "hz": hz,
         "pages": found,
         "cpu_share": share,
+        "reader_cpu_share": reader,
+        "ratio": share / reader if reader else None,
         "lost": lost,
         "targets": {"cpu_share": bench.TARGET_CPU_SHARE, "lost": 0},
         "reached": {"cpu_share": share <= bench.TARGET_CPU_SHARE, "lost": lost == 0},

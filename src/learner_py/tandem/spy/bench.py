@@ -110,19 +110,7 @@ def measure(folder: Path, url: str, load: Load, page: str, size: tuple[int, int]
     command = [sys.executable, "-m", "tandem", "spy", "--lcm", url, "--json", str(told)]
     with terminal(command, size) as (process, type_):
         _wait(process, START_S)
-        generator = Child(
-            "generator",
-            [
-                sys.executable,
-                "-m",
-                "tandem.spy.bench",
-                url,
-                str(load.channels),
-                str(load.hz),
-                str(load.seconds),
-            ],
-            folder / f"generator-{page}.out",
-        )
+        generator = _program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
         try:
             _wait(process, 1.0)
             for key in {"channels": "1", "fields": "1\r", "robot": "3", "learning": "4"}[page]:
@@ -148,6 +136,38 @@ def measure(folder: Path, url: str, load: Load, page: str, size: tuple[int, int]
         **_received(json.loads(told.read_text()), load),
         "generator": json.loads(generator.last_lines(1)[0]),
     }
+
+
+def measure_reader(folder: Path, url: str, load: Load) -> float:
+    """CPU share of the least that a Python program can do: the lcm package hands over every message, nothing else."""
+    reader = _program("reader", folder, "read", url)
+    generator = _program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
+    try:
+        time.sleep(1.5)
+        before, began = cpu_s(reader.pid), time.monotonic()
+        time.sleep(max(1.0, load.seconds - 3.0))
+        share = (cpu_s(reader.pid) - before) / (time.monotonic() - began)
+        if generator.wait(30.0) != 0:
+            raise SpyBenchError(generator.death())
+        return share
+    finally:
+        generator.stop(1.0)
+        reader.stop(1.0)
+
+
+def read_only(url: str) -> None:
+    """Until it is stopped."""
+    import lcm
+
+    link = lcm.LCM(url)
+    link.subscribe(".*", lambda channel, data: None).set_queue_capacity(0)
+    while True:
+        link.handle_timeout(1000)
+
+
+def _program(name: str, folder: Path, *words: str | float) -> Child:
+    command = [sys.executable, "-m", "tandem.spy.bench", *map(str, words)]
+    return Child(name, command, folder / f"{name}.out")
 
 
 def _received(told: dict[str, Any], load: Load) -> dict[str, Any]:
@@ -217,5 +237,8 @@ def _wait(process: subprocess.Popen[bytes], seconds: float) -> None:
 
 
 if __name__ == "__main__":
-    url_, channels_, hz_, seconds_ = sys.argv[1:5]
-    print(json.dumps(generate(url_, Load(int(channels_), int(hz_), float(seconds_)))))
+    if sys.argv[1] == "read":
+        read_only(sys.argv[2])
+    else:
+        load_ = Load(int(sys.argv[3]), int(sys.argv[4]), float(sys.argv[5]))
+        print(json.dumps(generate(sys.argv[2], load_)))
