@@ -69,6 +69,8 @@ def test_whole_run_leaves_every_file_and_the_agreed_names(
         "log.lcm",
         "policy.safetensors",
         "summary.json",
+        "report.html",
+        "tensorboard",
         "curve.png",
         "demo.mp4",
         "controller.out",

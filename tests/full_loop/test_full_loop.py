@@ -64,7 +64,14 @@ def busy_machine() -> Iterator[None]:
 
 
 def test_train_leaves_everything_that_a_user_needs(reference: Path) -> None:
-    for name in ("scenario.yaml", "log.lcm", "policy.safetensors", "summary.json", "curve.png"):
+    for name in (
+        "scenario.yaml",
+        "log.lcm",
+        "policy.safetensors",
+        "summary.json",
+        "curve.png",
+        "report.html",
+    ):
         assert (reference / name).stat().st_size > 0, name
     summary = json.loads((reference / "summary.json").read_text())
     assert summary["env_steps"] >= 150

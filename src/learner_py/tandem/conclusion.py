@@ -8,11 +8,11 @@ from typing import Any
 
 from tandem_lcm.tandem.world_state_t import world_state_t
 
-from tandem import evaluation, plot, summary, video
+from tandem import evaluation, plot, run_report, summary, video
 from tandem.checkpoints import Checkpoints
 from tandem.run_clock import Clock
-from tandem.run_folder import RunFolder, shown, write_json
-from tandem.scenario import Scenario
+from tandem.run_folder import RunFolder, RunFolderError, shown, write_json
+from tandem.scenario import Scenario, ScenarioError
 
 OPERATOR_EPISODES = 50
 
@@ -26,7 +26,7 @@ def conclude(
     wait: Callable[[str], None],
     say: Callable[[str], None],
 ) -> dict[str, Any]:
-    """Leaves policy.safetensors, curve.png, demo.mp4 and summary.json in RUN/. Returns the summary.
+    """Leaves policy.safetensors, curve.png, demo.mp4, summary.json and report.html in RUN/. Returns the summary.
 
     `wait` is called a few times a second with what is being done, and may raise to stop.
     """
@@ -64,6 +64,10 @@ def conclude(
     fresh = summary.Fresh(done[f"fresh {selected}"], done[f"fresh {last}"], operator)
     value = summary.build(folder, scenario, curve, fresh, clock.value, controller)
     write_json(folder.summary, value)
+    try:
+        run_report.write(folder)
+    except (OSError, ScenarioError, RunFolderError) as error:
+        say(f"report.html is left out: {error}")
     return value
 
 

@@ -64,6 +64,16 @@ class RunFolder:
         return self.path / "progress.csv"
 
     @property
+    def tensorboard(self) -> Path:
+        """The same and more as TensorBoard event files."""
+        return self.path / "tensorboard"
+
+    @property
+    def report(self) -> Path:
+        """All of the run on one page for a browser."""
+        return self.path / "report.html"
+
+    @property
     def progress_text(self) -> Path:
         """What a training says while a person has its terminal."""
         return self.path / "train.out"

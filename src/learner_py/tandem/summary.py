@@ -175,18 +175,12 @@ def build(
     }
 
 
-def table(value: dict[str, Any]) -> Table:
-    """The summary for people."""
-    shown = Table(
-        title=f"{value['task']} · {value['method']} · seed {value['seed']}",
-        show_header=False,
-        title_justify="left",
-    )
-    shown.add_column(style="bold")
-    shown.add_column()
+def rows(value: dict[str, Any]) -> list[tuple[str, str]]:
+    """The summary for people: label and text."""
+    shown: list[tuple[str, str]] = []
 
     def row(label: str, text: str) -> None:
-        shown.add_row(label, text)
+        shown.append((label, text))
 
     def steps(number: float | None) -> str:
         return "-" if number is None else f"{number:.1f}"
@@ -229,4 +223,18 @@ def table(value: dict[str, Any]) -> Table:
     row("speed", f"{speed['env_steps_per_s']:.0f} env steps/s, {speed['updates_per_s']:.0f} updates/s")
     if value["clock"] == "realtime":
         row("overruns", str(value["overruns"]))
+    return shown
+
+
+def table(value: dict[str, Any]) -> Table:
+    """The same for a terminal."""
+    shown = Table(
+        title=f"{value['task']} · {value['method']} · seed {value['seed']}",
+        show_header=False,
+        title_justify="left",
+    )
+    shown.add_column(style="bold")
+    shown.add_column()
+    for label, text in rows(value):
+        shown.add_row(label, text)
     return shown

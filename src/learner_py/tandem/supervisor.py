@@ -22,12 +22,14 @@ from rich.console import Console
 from rich.live import Live
 from tandem_lcm.tandem.controller_status_t import controller_status_t
 from tandem_lcm.tandem.episode_end_t import episode_end_t
+from tandem_lcm.tandem.world_state_t import world_state_t
 
 from tandem import demonstrations, live_view, processes, summary
 from tandem.checkpoints import Checkpoints
 from tandem.conclusion import conclude
 from tandem.evaluation import EvaluationError
 from tandem.lent_terminal import COMEBACK_S, LentTerminal
+from tandem.live_plots import LivePlots
 from tandem.processes import Child
 from tandem.run_clock import Clock
 from tandem.run_folder import RunFolder, RunFolderError, program, shown
@@ -172,12 +174,13 @@ class _Supervisor:
                     )
             finally:
                 self._end_all()
+                self.plots.close()
                 self.folder.lcm_url.unlink(missing_ok=True)
                 self.clock.save()
         finally:
             lock.close()
         self.console.print(summary.table(value))
-        files = ("policy.safetensors", "summary.json", "curve.png", "demo.mp4")
+        files = ("policy.safetensors", "summary.json", "report.html", "curve.png", "demo.mp4")
         left = ", ".join(name for name in files if (self.folder.path / name).exists())
         self._say(f"{shown(self.folder.path)}: {left}")
         return 0
@@ -187,6 +190,7 @@ class _Supervisor:
         for end in summary.read_episodes(self.folder.log):
             self.progress.on_episode(end)
         self.checkpoints = Checkpoints(self.folder, self.scenario)
+        self.plots = LivePlots(self.folder.tensorboard, self._say, self.checkpoints.evaluated)
 
     def _check_scenario(self) -> None:
         """Learner and controller judge the sections that they read before anything starts."""
@@ -253,7 +257,7 @@ class _Supervisor:
         handlers: dict[str, Callable[[bytes], None]] = {
             "CONTROLLER_STATUS": self.progress.on_status,
             "LEARNER_STATUS": self._on_learner,
-            "EPISODE_END": lambda data: self.progress.on_episode(episode_end_t.decode(data)),
+            "EPISODE_END": self._on_episode,
             "ROBOT_STATE": self._on_robot,
         }
         for channel, handler in handlers.items():
@@ -265,6 +269,13 @@ class _Supervisor:
             subscription = self.lcm.subscribe(channel, receive)
             # The arm's state comes thousands of times a second; one now and then is enough to show.
             subscription.set_queue_capacity(1 if channel == "ROBOT_STATE" else 1000)
+
+    def _on_episode(self, data: bytes) -> None:
+        end = episode_end_t.decode(data)
+        new = end.episode > self.progress.last_episode
+        self.progress.on_episode(end)
+        if new and end.phase == world_state_t.TRAINING:
+            self.plots.episode(end, self.progress)
 
     def _on_robot(self, data: bytes) -> None:
         self.progress.robot = data
@@ -280,6 +291,8 @@ class _Supervisor:
             rate["sum"] += now.wall_updates_per_s
             rate["n"] += 1
         status = self.progress.status
+        env_steps = status.env_steps_total if status else 0
+        self.plots.learner(env_steps, now)
         new = not self.folder.progress.exists()
         with self.folder.progress.open("a", newline="") as file:
             writer = csv.writer(file)
@@ -288,7 +301,7 @@ class _Supervisor:
             writer.writerow(
                 [
                     f"{sum(self.clock.value['seconds'].values()):.1f}",
-                    status.env_steps_total if status else 0,
+                    env_steps,
                     now.episodes_trained_through,
                     now.updates_done,
                     now.buffer_steps,
@@ -383,6 +396,7 @@ class _Supervisor:
             self.clock.value["overruns"] = self.progress.status.overruns
         self.checkpoints.look(self.clock)
         self.checkpoints.poll(slots=1)
+        self.plots.evaluations(self.checkpoints.evaluated)
         self._show()
 
     def _wait_after(self, doing: str) -> None:
@@ -391,6 +405,7 @@ class _Supervisor:
             raise Interrupted
         time.sleep(0.1)
         self.clock.spend("final evaluation")
+        self.plots.evaluations(self.checkpoints.evaluated)
         self._show(doing)
 
     # ---- ending

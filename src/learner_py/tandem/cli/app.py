@@ -19,6 +19,7 @@ from tandem.cli import (
     log,
     policy,
     replay,
+    report,
     spy,
     table,
     teleop,
@@ -64,6 +65,7 @@ app.command("replay")(replay.replay)
 app.command("export")(export.export)
 app.command("import")(import_.import_)
 app.command("spy")(spy.spy)
+app.command("report")(report.report)
 app.command("teleop")(teleop.teleop)
 app.add_typer(command.app, name="command")
 app.add_typer(policy.app, name="policy")
