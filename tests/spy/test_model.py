@@ -103,6 +103,9 @@ def test_expected_rates_follow_the_scenario_and_the_clock() -> None:
     scenario = Scenario({"run": {"robot_state_hz": 500}, "task": {"policy_rate_hz": 20}})
     assert expected.rates(scenario, robot_time=True)["ROBOT_STATE"] == 500
     assert expected.rates(scenario, robot_time=True)["WORLD_STATE"] == 20
+    assert (
+        expected.rates(scenario, robot_time=True, live=True)["ROBOT_STATE"] == 100
+    )  # the link sends no more
     assert set(expected.rates(scenario, robot_time=False)) == {"CONTROLLER_STATUS", "LEARNER_STATUS"}
     # live the controller itself tells whether its time is ours
     assert fed(("CONTROLLER_STATUS", status(lockstep=0))).robot_time

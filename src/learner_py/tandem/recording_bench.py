@@ -1,15 +1,19 @@
 """What `tandem bench recording` runs: a training in real time at full rate, recorded by its own log and by lcm-logger.
 
-Full rate: ROBOT_STATE at 1 kHz on the wire, CONTROL_TICK at 1 kHz in the log. Afterwards every message that carries a
-number is counted: the in-process log must have no hole, and lcm-logger all that the log has of what went over the wire.
+Full rate: CONTROL_TICK and ROBOT_STATE at 1 kHz in the log. Over the wire the controller sends ROBOT_STATE less often
+(the latest, see link.cpp), so that another program publishes two numbered channels at 1 kHz beside it. Afterwards
+every message that carries a number is counted: the in-process log must have no hole; lcm-logger must have all that the
+log has of what goes over the wire whole, and all that the other program sent.
 """
 
 from __future__ import annotations
 
 import contextlib
 import signal
+import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +25,7 @@ from tandem import processes
 from tandem.processes import Child
 from tandem.run_folder import ROOT, RunFolder, raw_events
 from tandem.spy import once
+from tandem.spy.bench import BENCH_PREFIX, Load, program
 from tandem.spy.layout import Layout, of_fingerprint
 from tandem.spy.model import Model
 from tandem.spy.recording import Recording
@@ -28,8 +33,15 @@ from tandem.wire import CHANNELS, Wire
 
 ROBOT_STATE_HZ = 1000
 DEMONSTRATIONS = 3
-ON_THE_WIRE = ("ROBOT_STATE", "WORLD_STATE", "ACTION_CHUNK", "EPISODE_STEP", "EPISODE_END")
-START_LIMIT_S = 300.0  # demonstrations and the learner's start
+ON_THE_WIRE = (
+    "WORLD_STATE",
+    "ACTION_CHUNK",
+    "EPISODE_STEP",
+    "EPISODE_END",
+)  # every one of them, when it lies in the log
+START_LIMIT_S = 300.0  # demonstrations and warm start
+WIRE_CHANNELS, WIRE_HZ = 2, 1000
+EPISODE_BITS = 32  # the episode lies above so many bits of a number
 
 
 class RecordingBenchError(Exception):
@@ -44,20 +56,36 @@ def lcm_logger() -> Path:
     return found
 
 
+def may_have_priority() -> bool:
+    """Whether SCHED_FIFO is allowed."""
+    return subprocess.run(["chrt", "--fifo", "1", "true"], capture_output=True).returncode == 0
+
+
 def record(folder: Path, task: str, minutes: float, say: Any) -> dict[str, Any]:
     """Trains and records until the learner has been at work for so long. Returns what was told meanwhile."""
     url, run = processes.free_lcm_url(), folder / "run"
-    foreign = folder / "lcm-logger.lcm"
     settings = {
         "run.robot_state_hz": ROBOT_STATE_HZ,
         "run.demonstrations": DEMONSTRATIONS,
         "run.env_steps": 10_000_000,  # until it is stopped
+        "run.learner_lag": 10,  # a slow machine's arm shall not wait for the learner
+        "method.learner.warm_start_updates": 200,
         "run.evaluation_every": 10_000_000,
         "run.video_episodes": 0,
     }
     sets = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
-    logger = Child("lcm-logger", [lcm_logger(), f"--lcm-url={url}", foreign], folder / "lcm-logger.out")
+    # its queue holds 30 messages: where it has to wait for the processor it loses some, so that it runs twice
+    plain: processes.Command = [lcm_logger(), f"--lcm-url={url}"]
+    commands = {"lcm-logger": plain, "lcm-logger, real-time priority": ["chrt", "--fifo", "1", *plain]}
+    if not may_have_priority():
+        del commands["lcm-logger, real-time priority"]
+    files = {name: folder / f"logger-{i}.lcm" for i, name in enumerate(commands)}
+    loggers = [
+        Child(name, [*command, files[name]], files[name].with_suffix(".out"))
+        for name, command in commands.items()
+    ]
     training: Child | None = None
+    generator: Child | None = None
     wire = Wire(url)
     told: dict[str, Any] = {"updates": 0, "status": None}
     wire.subscribe(learner_status_t, lambda status, _: told.update(updates=status.updates_done))
@@ -70,32 +98,43 @@ def record(folder: Path, task: str, minutes: float, say: Any) -> dict[str, Any]:
         def wait(seconds: float, until: Any) -> None:
             deadline = time.monotonic() + seconds
             while not until() and time.monotonic() < deadline:
-                for child in (training, logger):
+                for child in (training, *loggers):
                     if child is not None and child.poll() is not None:
                         raise RecordingBenchError(child.death())
                 wire.handle(0.2)
 
-        wait(START_LIMIT_S, lambda: told["updates"] > 0)
-        if not told["updates"]:
-            raise RecordingBenchError(f"the learner made no update within {START_LIMIT_S:.0f} s; see {run}.")
-        say(f"The learner is at work; recording for {minutes:g} minutes ...")
+        def training_goes_on() -> bool:
+            return told["updates"] > 0 and told["status"] is not None and told["status"].env_steps_total > 0
+
+        wait(START_LIMIT_S, training_goes_on)
+        if not training_goes_on():
+            raise RecordingBenchError(f"no training step was made within {START_LIMIT_S:.0f} s.")
+        say(f"The training goes on; recording for {minutes:g} minutes ...")
+        load = Load(WIRE_CHANNELS, WIRE_HZ, 60.0 * minutes)
+        generator = program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
         began, updates = time.monotonic(), told["updates"]
         wait(60.0 * minutes, lambda: False)
         passed = time.monotonic() - began
         updates = told["updates"] - updates
+        if generator.wait(30.0) != 0:
+            raise RecordingBenchError(generator.death())
         training.send(signal.SIGINT)
         deadline = time.monotonic() + 90.0
         while training.poll() is None and time.monotonic() < deadline:
             wire.handle(0.2)
         time.sleep(1.0)
     finally:
+        if generator is not None:
+            generator.stop(1.0)
         if training is not None:
             training.stop(30.0)
-        logger.stop(10.0)
+        for logger in loggers:
+            logger.stop(10.0)
     status = told["status"]
     return {
         "log": RunFolder(run).log,
-        "lcm_logger": foreign,
+        "others": files,
+        "sent_beside": load.messages,
         "seconds": passed,
         "learner_updates": updates,
         "learner_updates_per_s": updates / passed,
@@ -105,32 +144,63 @@ def record(folder: Path, task: str, minutes: float, say: Any) -> dict[str, Any]:
     }
 
 
-def count(log: Path, foreign: Path) -> dict[str, Any]:
-    """Messages and holes of both recordings."""
+def count(log: Path, others: Mapping[str, Path], sent_beside: int) -> dict[str, Any]:
+    """Messages and holes of all recordings; sent_beside: messages that were published beside the run."""
     model, recording = Model(), Recording(log)
     with contextlib.closing(recording):
         once.read(recording, model)
     rows = {row.channel: row for row in model.rows()}
     missing = event_numbers_missing(log)
-    own: dict[str, Any] = {
+    own = {
         "bytes": log.stat().st_size,
         "messages": sum(row.count for row in rows.values()),
         "event_numbers_missing": missing,
         "channels": {name: {"count": row.count, "gaps": row.gaps} for name, row in rows.items()},
         "undecodable": sum(row.undecodable for row in rows.values()),
+        "lost": missing + sum(row.gaps or 0 for row in rows.values()),
     }
-    own["lost"] = missing + sum(row.gaps or 0 for row in rows.values())
-    here, there = numbers(log), numbers(foreign)
-    compared = {
-        name: {
-            "in_log": len(here[name]),
-            "in_lcm_logger": len(there[name]),
-            "lost": len(np.setdiff1d(here[name], there[name], assume_unique=True)),
+    sent = _sent(numbers(log))
+    compared = {}
+    for name, file in others.items():
+        there = numbers(file)
+        channels = {
+            channel: _compared(len(keys), len(np.intersect1d(keys, there[channel], assume_unique=True)))
+            for channel, keys in sent.items()
         }
-        for name in ON_THE_WIRE
+        channels["beside, 1 kHz"] = _compared(sent_beside, _count_beside(file))
+        lost = sum(value["lost"] for value in channels.values())
+        compared[name] = {"bytes": file.stat().st_size, "channels": channels, "lost": lost}
+    return {"own": own, "others": compared}
+
+
+def _compared(sent: int, recorded: int) -> dict[str, int]:
+    return {"sent": sent, "recorded": recorded, "lost": sent - recorded}
+
+
+def _sent(logged: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What went over the wire of what was logged: not an episode's last state, for which nobody waits any more, and
+    not the steps of the last episode, which the end of the run cut off."""
+    states = logged["WORLD_STATE"]
+    followed = np.diff(states >> EPISODE_BITS, append=-1) == 0
+    last = int(states[-1] >> EPISODE_BITS) if len(states) else 0
+    steps, ends = logged["EPISODE_STEP"], logged["EPISODE_END"]
+    return logged | {
+        "WORLD_STATE": states[followed],
+        "EPISODE_STEP": steps[steps >> EPISODE_BITS < last],
+        "EPISODE_END": ends[ends < last],
     }
-    lost = sum(value["lost"] for value in compared.values())
-    return {"own": own, "lcm_logger": {"bytes": foreign.stat().st_size, "channels": compared, "lost": lost}}
+
+
+def _count_beside(foreign: Path) -> int:
+    """Messages of the other program, each number once."""
+    seen: dict[str, set[bytes]] = {}
+    for event in raw_events(foreign):
+        if event.channel.startswith(BENCH_PREFIX):
+            layout = of_fingerprint(event.data[:8])
+            assert layout is not None and layout.sequence is not None
+            offset, _ = layout.members[layout.sequence.member]
+            seen.setdefault(event.channel, set()).add(event.data[offset : offset + 8])
+    return sum(len(numbers) for numbers in seen.values())
 
 
 def event_numbers_missing(log: Path) -> int:
@@ -168,4 +238,4 @@ def _keys(layout: Layout, data: list[bytes]) -> np.ndarray:
     sequence = layout.sequence
     assert sequence is not None
     number = layout.read(sequence.member, data)
-    return number if sequence.group is None else (layout.read(sequence.group, data) << 32) + number
+    return number if sequence.group is None else (layout.read(sequence.group, data) << EPISODE_BITS) + number

@@ -28,6 +28,7 @@ from tandem.processes import Child
 
 START_S = 4.0  # spy's imports and first screen, not measured
 END_S = 2.0  # the generator ends earlier, so that everything can arrive
+BENCH_PREFIX = "BENCH_"  # of its channels
 TARGET_CPU_SHARE = 0.25  # of one core, at 10 channels at 1 kHz
 
 
@@ -83,7 +84,7 @@ def generate(url: str, load: Load) -> dict[str, Any]:
         name = order[i % len(order)]
         data, offsets = made[name]
         code = ">i" if name in ("world_state_t", "action_chunk_t") else ">q"
-        channels.append((f"BENCH_{i}_{name[:-2].upper()}", data, offsets, code))
+        channels.append((f"{BENCH_PREFIX}{i}_{name[:-2].upper()}", data, offsets, code))
     ticks = int(load.hz * load.seconds)
     period_ns = 1_000_000_000 // load.hz
     begin, late = time.monotonic_ns(), 0
@@ -110,7 +111,7 @@ def measure(folder: Path, url: str, load: Load, page: str, size: tuple[int, int]
     command = [sys.executable, "-m", "tandem", "spy", "--lcm", url, "--json", str(told)]
     with terminal(command, size) as (process, type_):
         _wait(process, START_S)
-        generator = _program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
+        generator = program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
         try:
             _wait(process, 1.0)
             for key in {"channels": "1", "fields": "1\r", "robot": "3", "learning": "4"}[page]:
@@ -140,8 +141,8 @@ def measure(folder: Path, url: str, load: Load, page: str, size: tuple[int, int]
 
 def measure_reader(folder: Path, url: str, load: Load) -> float:
     """CPU share of the least that a Python program can do: the lcm package hands over every message, nothing else."""
-    reader = _program("reader", folder, "read", url)
-    generator = _program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
+    reader = program("reader", folder, "read", url)
+    generator = program("generator", folder, "generate", url, load.channels, load.hz, load.seconds)
     try:
         time.sleep(1.5)
         before, began = cpu_s(reader.pid), time.monotonic()
@@ -165,14 +166,15 @@ def read_only(url: str) -> None:
         link.handle_timeout(1000)
 
 
-def _program(name: str, folder: Path, *words: str | float) -> Child:
+def program(name: str, folder: Path, *words: str | float) -> Child:
+    """This file in a process of its own: `generate URL CHANNELS HZ SECONDS` or `read URL`."""
     command = [sys.executable, "-m", "tandem.spy.bench", *map(str, words)]
     return Child(name, command, folder / f"{name}.out")
 
 
 def _received(told: dict[str, Any], load: Load) -> dict[str, Any]:
     """What spy itself counted, against what was sent."""
-    ours = [row for row in told["channels"] if row["channel"].startswith("BENCH_")]
+    ours = [row for row in told["channels"] if row["channel"].startswith(BENCH_PREFIX)]
     latencies = [row["latency_ms"] for row in ours if row["latency_ms"]]
     received = sum(row["count"] for row in ours)
     return {

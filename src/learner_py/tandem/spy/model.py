@@ -70,6 +70,7 @@ class Model:
         self.chosen: str | None = None  # channel whose members are shown
         self.fields = FieldHistory()
         self._robot_time = robot_time
+        self._live = False
         self._began_us: int | None = None
         self._human = False
         self._version = 0
@@ -87,7 +88,7 @@ class Model:
 
     def take(self, batch: Batch, decoded: int | None = DECODED) -> None:
         """decoded: see Channel.take."""
-        self.now_us = batch.now_us
+        self.now_us, self._live = batch.now_us, batch.live
         for name, (times, data) in batch.channels.items():
             if self._began_us is None:
                 self._began_us = times[0]
@@ -122,7 +123,7 @@ class Model:
 
     def rows(self) -> list[Row]:
         """The table of channels, by name."""
-        rates = expected.rates(self.scenario, self.robot_time)
+        rates = expected.rates(self.scenario, self.robot_time, self._live)
         return [channel.row(self.now_us, rates.get(name)) for name, channel in sorted(self.channels.items())]
 
     def latest(self, channel: str) -> Any | None:
