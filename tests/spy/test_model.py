@@ -137,6 +137,7 @@ def test_sparkline_spans_from_least_to_greatest_and_survives_nan() -> None:
     assert sparkline([3.0, 3.0, math.nan]) == "▁▁"
     assert sparkline([]) == "" and sparkline([1.0, math.inf]) == ""
     assert sparkline([0, 9], encoding="ascii").isascii()
+    assert sparkline([0.5, 0.5, 1.0, 7.0], whole=1.0) == "▅▅██"
 
 
 def test_hostile_messages_never_stop_the_pages() -> None:
@@ -153,3 +154,11 @@ def test_the_narrow_table_fits_into_80_characters() -> None:
             channel_table.cells(rows[0], width), channel_table.columns(width), strict=True
         ):
             assert cell.cell_len <= column.width
+
+
+def test_of_many_states_in_a_batch_some_are_shown_and_the_last_one_always() -> None:
+    model = Model()
+    data = [robot(0, 10 * i, alpha=i / 999).encode() for i in range(1000)]
+    model.take(Batch(1000, {"ROBOT_STATE": (list(range(1000)), data)}))
+    shown = list(model.series["alpha"])
+    assert 10 <= len(shown) <= 20 and shown == sorted(shown) and shown[-1] == 1.0

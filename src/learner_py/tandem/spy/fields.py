@@ -46,13 +46,15 @@ def text(value: Any) -> str:
     return str(value)
 
 
-def sparkline(values: Any, width: int = 24, encoding: str = "utf-8") -> str:
-    """The last values as a line of bars between their least and their greatest; a flat line is low."""
+def sparkline(values: Any, width: int = 24, encoding: str = "utf-8", whole: float | None = None) -> str:
+    """The last values as a line of bars between their least and their greatest, or from 0 to `whole`; a flat line
+    between its least and its greatest is low."""
     recent = [value for value in list(values)[-width:] if value == value]
     if not recent:
         return ""
     blocks = _BLOCKS if encoding.lower().startswith("utf") else _ASCII_BLOCKS
-    low, high = min(recent), max(recent)
+    low, high = (min(recent), max(recent)) if whole is None else (0.0, whole)
+    recent = [min(high, max(low, value)) for value in recent]
     if not high - low < float("inf"):
         return ""
     scale = (len(blocks) - 1) / (high - low) if high > low else 0.0

@@ -43,7 +43,7 @@ def rows(model: Model, evaluated: list[dict[str, Any]], encoding: str = "utf-8")
     ):
         if learner is not None and not math.isnan(value := getattr(learner, name)):
             wins = Text(f"{bar(value, encoding)} {100 * value:3.0f} %  ")
-            wins.append(sparkline(model.series[name], encoding=encoding), style="cyan")
+            wins.append(sparkline(model.series[name], encoding=encoding, whole=1.0), style="cyan")
             shown.append((f"wins, {label}", wins))
     if learner is not None:
         shown += _learner(model, learner, encoding)

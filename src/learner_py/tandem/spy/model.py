@@ -16,7 +16,7 @@ from tandem.spy.fields import FieldHistory
 
 HISTORY = 120  # values of α, force, losses
 EVENTS = 200
-SAMPLED = 4  # messages of a shown channel that are decoded per batch: enough for its sparklines
+SAMPLED = 20  # messages of a batch that are decoded for its sparklines
 
 
 @dataclass
@@ -95,8 +95,7 @@ class Model:
             channel = self.channels.setdefault(name, Channel(name))
             good = channel.take(times, data, decoded, batch.live)
             if good and channel.layout is not None:
-                # of the arm's states one a batch is enough to show
-                self._show(name, channel, good[-1:] if name == "ROBOT_STATE" != self.chosen else good)
+                self._show(name, channel, good)
         for status in batch.learner:
             self._on_learner(status)
 
@@ -104,11 +103,12 @@ class Model:
         assert channel.layout is not None
         decode = channel.layout.decode
         if handler := self._decoders.get(name):
-            for data in good:
+            # every message counts, but of the arm's states some are enough
+            for data in _sample(good) if name == "ROBOT_STATE" else good:
                 if (message := decode(data)) is not None:
                     handler(message)
         if name == self.chosen:
-            for data in good[:: -(-len(good) // SAMPLED)]:
+            for data in _sample(good):
                 if (message := decode(data)) is not None:
                     self.fields.take(message)
 
@@ -211,3 +211,9 @@ class Model:
         self._tell(
             f"fault in episode {fault.episode}: {fault.sentence or fault_text(fault.fault)}", "bold red"
         )
+
+
+def _sample(data: list[bytes]) -> list[bytes]:
+    """At most SAMPLED of them, evenly, the last one included."""
+    stride = -(-len(data) // SAMPLED)
+    return data[::-1][::stride][::-1]

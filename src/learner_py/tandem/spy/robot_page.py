@@ -51,7 +51,7 @@ def _arm(model: Model, robot: Any, encoding: str) -> list[tuple[str, Text]]:
     cycles = f"{100 * robot.success_rate:.0f} % of the last 100 cycles in time"
     good = robot.robot_mode == 0 or (robot.robot_mode == 1 and robot.success_rate > 0.95)
     alpha = Text(f"{bar(robot.alpha, encoding)} {robot.alpha:.2f}  ")
-    alpha.append(sparkline(model.series["alpha"], encoding=encoding), style="cyan")
+    alpha.append(sparkline(model.series["alpha"], encoding=encoding, whole=1.0), style="cyan")
     acted = [name for bit, name in enumerate(_LIMITS) if robot.limits_acted >> bit & 1]
     x, y, z = robot.p_WE_measured
     force = Text(f"{model.series['force'][-1] if model.series['force'] else 0.0:6.1f} N  ")
