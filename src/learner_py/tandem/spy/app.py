@@ -32,6 +32,8 @@ class Spy(App[None]):
     """Ends by `q`, or after `seconds`."""
 
     CSS = """
+    Screen { overflow: hidden; }
+    TabbedContent { height: 1fr; }
     #where { height: 1; background: $panel; padding: 0 1; }
     TabPane { padding: 0; }
     DataTable, Tree { height: 1fr; }
