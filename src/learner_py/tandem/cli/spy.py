@@ -143,6 +143,7 @@ def _show(
     app.run()
     if app.return_code:
         raise typer.Exit(app.return_code)
+    app.model.take(source.poll())  # what came since the last refresh
     return once.figures(source.title, app.model)
 
 
