@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import lcm
-import numpy as np
 import pytest
 from tandem_lcm.tandem.control_tick_t import control_tick_t
 from tandem_lcm.tandem.controller_fault_t import controller_fault_t
@@ -20,7 +19,6 @@ from tandem.soak.checks import (
     is_learnable,
     torques_within_limits,
 )
-from tandem.soak.torques import LAYOUT
 from tandem.wire import CHANNEL_OF
 
 COLLISION, ESTOP = 6, 23
@@ -88,13 +86,6 @@ def test_one_tick_beyond_a_limit_is_found_and_named(
     assert not check.passed
     assert check.figures[figure] == 1
     assert "tick 1" in check.sentence
-
-
-def test_layout_reads_every_field_as_the_types_own_decoder_does() -> None:
-    data = control_tick_t._get_packed_fingerprint() + np.random.default_rng(0).bytes(LAYOUT.itemsize - 8)
-    ours, theirs = np.frombuffer(data, LAYOUT)[0], control_tick_t.decode(data)
-    for name in (LAYOUT.names or ())[1:]:
-        np.testing.assert_array_equal(ours[name], getattr(theirs, name), err_msg=name)
 
 
 def test_log_without_ticks_proves_nothing(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from tandem_lcm.tandem.episode_end_t import episode_end_t
 from typer.testing import CliRunner
 
 from tandem.cli.app import app
-from tandem.cli.log import describe, first_difference
-from tandem.run_folder import RunFolderError, raw_events
+from tandem.log import EventLog
+from tandem.log.compare import first_difference
+from tandem.log.facts import describe
 
 
 def chunk(wall_us: int, x: float = 0.5, chunk_id: int = 0) -> tuple[str, Any]:
@@ -76,18 +77,7 @@ def test_compare_exits_with_1_when_different(tmp_path: Path) -> None:
 def test_info_counts_outcomes_and_human_share(tmp_path: Path) -> None:
     one, other = end(0, human=3), end(1, human=1)
     other[1].episode = 1
-    value = describe(write(tmp_path / "log.lcm", one, other))
+    value = describe(EventLog(write(tmp_path / "log.lcm", one, other)))
     assert value["phases"]["training"]["outcomes"] == {"success": 1, "timeout": 1}
     assert value["phases"]["training"]["human_share"] == pytest.approx(0.2)
     assert value["cut_off_bytes"] == 0
-
-
-def test_cut_off_tail_ends_a_log_and_damage_is_told(tmp_path: Path) -> None:
-    log = write(tmp_path / "log.lcm", end(0), end(1))
-    data = log.read_bytes()
-    log.write_bytes(data[:-5])
-    assert len(list(raw_events(log))) == 1
-    assert describe(log)["cut_off_bytes"] > 0
-    log.write_bytes(data[:40] + b"garbage" + data[47 : len(data) // 2 - 3] + data[len(data) // 2 :])
-    with pytest.raises(RunFolderError, match="is damaged at byte"):
-        list(raw_events(log))

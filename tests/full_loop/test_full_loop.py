@@ -15,8 +15,8 @@ from typing import Any
 import pytest
 
 from tandem import scenario
-from tandem.cli.log import first_difference
 from tandem.log import messages
+from tandem.log.compare import first_difference
 from tandem.run_folder import CONFIG, program
 
 ROOT = Path(__file__).parents[2]

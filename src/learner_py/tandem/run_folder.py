@@ -7,7 +7,6 @@ import platform
 import re
 import struct
 import subprocess
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -165,44 +164,6 @@ def policy_metadata(path: Path) -> dict[str, str]:
         raise RunFolderError(f"{shown(path)} can't be read ({error.strerror}).") from None
     except (ValueError, KeyError, TypeError, struct.error) as error:
         raise RunFolderError(f"{shown(path)} is not a policy file of Tandem ({error}).") from None
-
-
-@dataclass(frozen=True)
-class RawEvent:
-    """One event of an LCM log, not decoded."""
-
-    number: int
-    timestamp: int  # us, when it was written
-    channel: str
-    data: bytes
-
-
-LOG_SYNC = 0xEDA1DA01
-
-
-def raw_events(path: Path, channels: frozenset[str] | None = None) -> Iterator[RawEvent]:
-    """Events of a standard LCM event log, of some channels only when asked (the others are skipped unread).
-
-    A cut-off tail (the writer was killed) ends the log; damage elsewhere raises RunFolderError.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        while True:
-            position = file.tell()
-            head = file.read(28)
-            if len(head) < 28:
-                return
-            sync, number, timestamp, n_channel, n_data = struct.unpack(">IQQII", head)
-            if sync != LOG_SYNC:
-                raise RunFolderError(f"{shown(path)} is damaged at byte {position}: no event begins there.")
-            end = position + 28 + n_channel + n_data
-            if end > size:
-                return
-            channel = file.read(n_channel).decode("utf-8", "replace")
-            if channels is not None and channel not in channels:
-                file.seek(end)
-                continue
-            yield RawEvent(number, timestamp, channel, file.read(n_data))
 
 
 def git_revision() -> str:

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.table import Table
-from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.world_state_t import world_state_t
 
-from tandem.run_folder import RunFolder, git_revision, host, raw_events
+from tandem.log import messages
+from tandem.run_folder import RunFolder, git_revision, host
 from tandem.scenario import Scenario
 from tandem.statistics import mean, percent, share
 
@@ -32,9 +32,8 @@ def read_episodes(log: Path) -> list[Any]:
     if not log.exists():
         return []
     found = {}
-    for event in raw_events(log, frozenset({"EPISODE_END"})):
-        end = episode_end_t.decode(event.data)
-        found[end.episode] = end
+    for event in messages(log, "EPISODE_END"):
+        found[event.message.episode] = event.message
     return [found[number] for number in sorted(found)]
 
 

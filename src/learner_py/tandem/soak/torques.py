@@ -2,40 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from tandem_lcm.tandem.control_tick_t import control_tick_t
 
-from tandem.run_folder import raw_events
+from tandem.log import EventLog
 
 TORQUE_LIMIT = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # N m
 TORQUE_STEP = 1.0  # N m from the command that the robot had to the next one
 ROUNDING = 1e-9  # N m
 
-# control_tick_t as it lies on the wire (big endian); held against the type's own decoder by tests/bench.
-LAYOUT = np.dtype(
-    [
-        ("fingerprint", ">i8"),
-        ("utime", ">i8"),
-        ("tick", ">i8"),
-        ("episode", ">i8"),
-        ("missed_cycles", ">i4"),
-        ("link_age_ms", ">f8"),
-        ("q_measured", ">f8", 7),
-        ("dq_measured", ">f8", 7),
-        ("tau_external", ">f8", 7),
-        ("tau_received", ">f8", 7),
-        ("gripper_width", ">f8"),
-        ("robot_mode", ">i4"),
-        ("fault", ">i4"),
-        ("tau_commanded", ">f8", 7),
-    ]
-)
-_BLOCK = 20_000  # ticks
+_FIELDS = ("episode", "tick", "missed_cycles", "tau_commanded", "tau_received")
 
 
 @dataclass
@@ -59,28 +39,14 @@ class TorqueFigures:
 
 
 def check_torques(log: Path) -> TorqueFigures:
-    figures = TorqueFigures()
-    for block in _blocks(log, figures):
+    opened, figures = EventLog(log), TorqueFigures()
+    for block in opened.column_blocks("CONTROL_TICK", *_FIELDS):
         _check(block, figures)
+    figures.undecodable = len(opened.index.rows("CONTROL_TICK")) - figures.ticks
     return figures
 
 
-def _blocks(log: Path, figures: TorqueFigures) -> Iterator[NDArray[np.void]]:
-    fingerprint = control_tick_t._get_packed_fingerprint()
-    parts: list[bytes] = []
-    for event in raw_events(log, frozenset({"CONTROL_TICK"})):
-        if len(event.data) != LAYOUT.itemsize or event.data[:8] != fingerprint:
-            figures.undecodable += 1
-            continue
-        parts.append(event.data)
-        if len(parts) == _BLOCK:
-            yield np.frombuffer(b"".join(parts), LAYOUT)
-            parts = []
-    if parts:
-        yield np.frombuffer(b"".join(parts), LAYOUT)
-
-
-def _check(block: NDArray[np.void], figures: TorqueFigures) -> None:
+def _check(block: dict[str, NDArray[Any]], figures: TorqueFigures) -> None:
     commanded, received = block["tau_commanded"], block["tau_received"]
     finite = np.isfinite(commanded).all(axis=1) & np.isfinite(received).all(axis=1)
     share = np.abs(np.where(finite[:, None], commanded, 0.0)) / TORQUE_LIMIT
@@ -90,12 +56,12 @@ def _check(block: NDArray[np.void], figures: TorqueFigures) -> None:
 
     bad = ~finite | beyond_limit | beyond_step
     if bad.any() and not figures.first_violation:
-        first = block[int(np.argmax(bad))]
+        first = int(np.argmax(bad))
         figures.first_violation = (
-            f"episode {first['episode']}, tick {first['tick']}: commanded {first['tau_commanded'].tolist()} after "
-            f"{first['tau_received'].tolist()}"
+            f"episode {block['episode'][first]}, tick {block['tick'][first]}: commanded "
+            f"{commanded[first].tolist()} after {received[first].tolist()}"
         )
-    figures.ticks += len(block)
+    figures.ticks += len(bad)
     figures.not_finite += int((~finite).sum())
     figures.beyond_limit += int(beyond_limit.sum())
     figures.beyond_step += int(beyond_step.sum())

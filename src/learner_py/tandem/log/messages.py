@@ -1,9 +1,7 @@
-"""Reads LCM event logs: typed messages and whole episodes.
+"""What most readers want of an event log: typed messages, whole episodes, the scenario.
 
-    for event in messages("runs/peg/log.lcm", "EPISODE_END"): ...
-    for episode in episodes("runs/peg/log.lcm"): ...
-
-A log may end in the middle of an event (the writer was killed): what came before is read, the tail is left out.
+for event in messages("runs/peg/log.lcm", "EPISODE_END"): event.message.outcome
+for episode in episodes("runs/peg/log.lcm"): ...
 """
 
 from __future__ import annotations
@@ -13,9 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import lcm
-
 from tandem.learner.episode import Episode, EpisodeAssembler
+from tandem.log.event_log import EventLog, RawEvent
 from tandem.wire import decode
 
 
@@ -29,27 +26,21 @@ class LogMessage:
     data: bytes  # as recorded
 
 
+def raw_events(path: str | Path, channels: frozenset[str] | None = None) -> Iterator[RawEvent]:
+    """Events of a log in its order, of some channels only when asked. Raises FileNotFoundError with a sentence."""
+    log = EventLog(Path(path))
+    return log.events(None if channels is None else log.index.rows(*channels))
+
+
 def messages(path: str | Path, *channels: str) -> Iterator[LogMessage]:
     """Messages of these channels (of all known channels when none is named), in the order of the log.
 
     Events that do not decode are left out. Raises FileNotFoundError with a sentence when there is no such log.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"There is no event log at {path}.")
-    if path.stat().st_size == 0:
-        return
-    wanted = frozenset(channels)
-    log = lcm.EventLog(str(path), "r")
-    try:
-        for event in log:
-            if wanted and event.channel not in wanted:
-                continue
-            message = decode(event.channel, event.data)
-            if message is not None:
-                yield LogMessage(event.channel, event.timestamp, message, event.data)
-    finally:
-        log.close()
+    for event in EventLog(Path(path)).messages(*channels):
+        message = decode(event.channel, event.data)
+        if message is not None:
+            yield LogMessage(event.channel, event.timestamp, message, event.data)
 
 
 def episodes(path: str | Path) -> Iterator[Episode]:

@@ -1,0 +1,68 @@
+"""What the commands on logs share: finding a log, opening it, choosing episodes."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tandem.cli.common import fail
+
+if TYPE_CHECKING:
+    from tandem.log import EventLog
+
+LogArgument = Annotated[Path, typer.Argument(help="Event log, or a run folder.")]
+EpisodesOption = Annotated[
+    str | None,
+    typer.Option("--episodes", metavar="A-B", help="Only these episodes: 7, 3-5 (both included), 40- or -9."),
+]
+
+
+def find(log: Path) -> Path:
+    """An event log from a file or a run folder."""
+    from tandem.run_folder import RunFolder
+
+    log = RunFolder(log).log if log.is_dir() else log
+    if not log.is_file():
+        fail(f"{log} does not exist; give an event log or a run folder.", 2)
+    return log
+
+
+def opened(log: Path) -> "EventLog":
+    """The log with its index, which is made now, or refreshed, when the log is large."""
+    from rich.console import Console
+
+    from tandem.log import EventLog
+
+    path = find(log)
+    with Console(stderr=True).status("") as status:
+        said = f"indexing {path} ..."
+
+        def progress(share: float) -> None:
+            status.update(f"{said} {100 * share:.0f} %")
+
+        try:
+            return EventLog(path, keep_index=True, progress=progress)
+        except OSError as error:
+            fail(f"{path} can't be read ({error.strerror}).", 2)
+
+
+def episode_range(text: str | None) -> tuple[int, int]:
+    """(first, last) of 7, 3-5, 40- or -9; everything when None."""
+    if text is None:
+        return 0, 1 << 62
+    match = re.fullmatch(r"(\d*)(-?)(\d*)", text.strip())
+    if match is None or not (match[1] or match[3]):
+        fail(f"--episodes is {text!r}; it must be like 7, 3-5 (both included), 40- or -9.", 2)
+    first = int(match[1] or 0)
+    last = int(match[3]) if match[3] else (1 << 62 if match[2] else first)
+    if last < first:
+        fail(f"--episodes is {text!r}; its end lies before its beginning.", 2)
+    return first, last
+
+
+def no_such_episodes(log: "EventLog", text: str | None) -> str:
+    """A sentence: what was asked for and what there is."""
+    there = log.episodes.number
+    have = f"episodes {there.min()} to {there.max()}" if len(there) else "no whole episode"
+    return f"{log.path} holds no episode in {text or 'all'}; it has {have}."
