@@ -33,6 +33,7 @@ from tandem_lcm.tandem.impedance_gains_t import impedance_gains_t
 from tandem_lcm.tandem.learner_status_t import learner_status_t
 from tandem_lcm.tandem.policy_ack_t import policy_ack_t
 from tandem_lcm.tandem.policy_announce_t import policy_announce_t
+from tandem_lcm.tandem.provenance_t import provenance_t
 from tandem_lcm.tandem.robot_state_t import robot_state_t
 from tandem_lcm.tandem.scenario_t import scenario_t
 from tandem_lcm.tandem.teleop_command_t import teleop_command_t
@@ -40,9 +41,10 @@ from tandem_lcm.tandem.world_state_t import world_state_t
 
 DEFAULT_URL = "udpm://239.255.76.67:7667?ttl=0"
 
-# channel -> type; SCENARIO and CONTROL_TICK are only found in event logs
+# channel -> type; SCENARIO, PROVENANCE and CONTROL_TICK are only found in event logs
 CHANNELS: dict[str, type] = {
     "SCENARIO": scenario_t,
+    "PROVENANCE": provenance_t,
     "CONTROL_TICK": control_tick_t,
     "ROBOT_STATE": robot_state_t,
     "WORLD_STATE": world_state_t,

@@ -27,6 +27,7 @@ from tandem.log.layout import Layout, native
 from tandem.wire import CHANNELS, decode
 
 _BLOCK = 16 << 20  # bytes read at a time
+_OF_THE_START = ("SCENARIO", "PROVENANCE")
 _NEAR = 64 << 10  # bytes between two wanted events that are read rather than skipped
 
 
@@ -85,6 +86,13 @@ class EventLog:
             for i in range(len(part)):
                 name = self.index.channels[channel[i]]
                 yield RawEvent(number[i], timestamp[i], name, buffer[begin[i] : begin[i] + size[i]])
+
+    def raw(self, rows: Array) -> Iterator[bytes]:
+        """These events as they lie in the file, header included."""
+        for part, at, buffer in self._read(rows):
+            ends = (self._data_at(part, at) + self.index.size[part]).tolist()
+            for begin, end in zip(at.tolist(), ends, strict=True):
+                yield buffer[begin:end]
 
     def messages(self, *channels: str) -> Iterator[RawEvent]:
         """Readable events on these channels (on all when none is named)."""
@@ -181,6 +189,15 @@ class EventLog:
         first = np.append(0, last[:-1] + 1)[: len(last)]
         number, phase, outcome, n_steps = (ends[name][once] for name in names)
         return Episodes(number, phase, outcome, n_steps, first, last)
+
+    @cached_property
+    def begin_us(self) -> int:
+        """When the first message was made; what only the start of a log tells (0 in lockstep) left out."""
+        told = np.isin(
+            self.index.channel, [i for i, n in enumerate(self.index.channels) if n in _OF_THE_START]
+        )
+        times = self.index.utime[~told] if len(told) else self.index.utime
+        return int(times[0]) if len(times) else 0
 
     @cached_property
     def starts(self) -> list[Any]:

@@ -10,6 +10,7 @@ from tandem.cli.common import fail
 
 if TYPE_CHECKING:
     from tandem.log import EventLog
+    from tandem.log.events import Array
 
 LogArgument = Annotated[Path, typer.Argument(help="Event log, or a run folder.")]
 EpisodesOption = Annotated[
@@ -66,3 +67,25 @@ def no_such_episodes(log: "EventLog", text: str | None) -> str:
     there = log.episodes.number
     have = f"episodes {there.min()} to {there.max()}" if len(there) else "no whole episode"
     return f"{log.path} holds no episode in {text or 'all'}; it has {have}."
+
+
+def selected(
+    log: "EventLog", rows: "Array", episodes: str | None, begin_s: float | None, end_s: float | None
+) -> "Array":
+    """Those of the events that lie in these episodes and in this time; a sentence when there are none such."""
+    import numpy as np
+
+    if episodes is not None:
+        first, last = episode_range(episodes)
+        wanted = np.flatnonzero((log.episodes.number >= first) & (log.episodes.number <= last))
+        if not len(wanted):
+            fail(no_such_episodes(log, episodes), 2)
+        rows = rows[np.isin(log.episodes.of(rows), wanted)]
+    if begin_s is not None or end_s is not None:
+        time_s = (log.index.utime[rows] - log.begin_us) / 1e6
+        low, high = begin_s or 0.0, np.inf if end_s is None else end_s
+        rows = rows[(time_s >= low) & (time_s < high)]
+        if not len(rows):
+            latest = (log.index.utime.max() - log.begin_us) / 1e6 if len(log.index) else 0.0
+            fail(f"{log.path} has nothing from {low:g} to {high:g} s; it lasts until {latest:.3f} s.", 2)
+    return rows
