@@ -2,12 +2,13 @@
 
 import typer
 
-from tandem.cli.log import compare, echo, edit, info, stats
+from tandem.cli.log import check, compare, echo, edit, info, stats
 
 app = typer.Typer(help="Look into event logs (RUN/log.lcm).", no_args_is_help=True)
 
 app.command("info")(info.info)
 app.command("stats")(stats.stats)
+app.command("check")(check.check)
 app.command("echo")(echo.echo)
 app.command("cut")(edit.cut)
 app.command("merge")(edit.merge)
