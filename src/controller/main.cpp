@@ -13,6 +13,7 @@
 #include <sstream>
 #include <tandem/scenario_t.hpp>
 
+#include "controller/episode/provenance.h"
 #include "controller/loop/run.h"
 #include "controller/loop/scenario.h"
 #include "policy_runtime/kernels/kernels.h"
@@ -117,6 +118,9 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
       gains_from(*log->past().gains, scenario.control.gains, scenario.control.gains);
     }
     if (!log->past().has_scenario) write_scenario(*log, scenario_path, task, position.next_episode);
+    log->write("PROVENANCE", 0,
+               provenance(TANDEM_GIT_REVISION, whole_file(scenario_path),
+                          static_cast<int64_t>(scenario.run.seed), position.next_episode));
   }
 
   StatusBoard board;

@@ -41,10 +41,14 @@ void Recorder::run() {
       std::visit([this](const auto& r) { take(r); }, *record);
       ring_.pop();
     }
+    if (log_) {
+      // However this process ends, the log holds what came before the latest batch.
+      log_->flush();
+      if (!log_->failure().empty()) board_.stop = true;
+    }
     if (stopping) break;
     std::this_thread::sleep_for(std::chrono::microseconds(500));
   }
-  if (log_) log_->flush();
 }
 
 void Recorder::take(const EpisodeBegin& begin) {
@@ -109,8 +113,7 @@ void Recorder::take(const EpisodeFinish& finish) {
     if (settings_.every_tick && sinks_.status)
       log_->write("CONTROLLER_STATUS", finish.utime, sinks_.status());
     log_->write("EPISODE_END", finish.utime, episode->end);
-    log_->flush();
-    if (!log_->failure().empty()) board_.stop = true;
+    log_->flush();  // before anybody hears of it
   }
   episodes_.push_back(episode->end);
   if (sinks_.episode) sinks_.episode(std::move(episode));

@@ -3,9 +3,12 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <fstream>
+#include <sstream>
 #include <tandem/episode_step_t.hpp>
 
 #include "base/sha256.h"
+#include "controller/episode/provenance.h"
 
 namespace tandem {
 namespace {
@@ -129,6 +132,18 @@ TEST_F(EventLogTest, CutOffTailIsRemovedAndTheRunContinues) {
   EXPECT_EQ(std::filesystem::file_size(path_), whole);
 }
 
+TEST_F(EventLogTest, WhatWasHandedOverIsOnDiskBeforeTheEpisodeEnds) {
+  SpscRing<Record> ring(64);
+  EventLog log(path_);
+  TaskSpec task;
+  StatusBoard board;
+  Recorder recorder(ring, &log, task, 2, {.every_tick = true}, {}, board);
+  ring.push(EpisodeBegin{});
+  ring.push(TickRecord{});
+  for (int i = 0; i < 1000 && std::filesystem::file_size(path_) == 0; ++i) usleep(1000);
+  EXPECT_GT(std::filesystem::file_size(path_), 300u);  // a whole CONTROL_TICK
+}
+
 TEST_F(EventLogTest, UnwritableFolderIsASentence) {
   try {
     EventLog log("/proc/no_such_folder/log.lcm");
@@ -143,6 +158,24 @@ TEST_F(EventLogTest, FullDiskIsASentenceNotASilence) {
   for (int i = 0; i < 100; ++i) log.write("ROBOT_STATE", i, std::vector<uint8_t>(1000));
   log.flush();
   EXPECT_NE(log.failure().find("can't be written any more"), std::string::npos);
+}
+
+TEST(Provenance, HoldsEveryMessageTypeAsItsFileHasIt) {
+  const provenance_t m = provenance("abc", "run: {}", 7, 12);
+  EXPECT_EQ(m.run_seed, 7);
+  EXPECT_EQ(m.continues_with, 12);
+  EXPECT_EQ(m.program_revision, "abc");
+  int files = 0;
+  for (const auto& file : std::filesystem::directory_iterator(TANDEM_ROOT "/lcm_types")) {
+    if (file.path().extension() != ".lcm") continue;
+    ++files;
+    std::ostringstream text;
+    text << std::ifstream(file.path()).rdbuf();
+    const auto name = std::find(m.type_names.begin(), m.type_names.end(), file.path().stem());
+    ASSERT_NE(name, m.type_names.end()) << file.path();
+    EXPECT_EQ(m.type_texts[static_cast<size_t>(name - m.type_names.begin())], text.str());
+  }
+  EXPECT_EQ(files, m.n_types);
 }
 
 }  // namespace
