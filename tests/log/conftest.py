@@ -19,3 +19,15 @@ def write(tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return _write
+
+
+@pytest.fixture(scope="session")
+def real_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two demonstrations by the scripted operator, recorded by the controller: a second of work."""
+    from tandem import run_folder, scenario
+    from tandem.evaluation import Evaluation
+
+    folder = tmp_path_factory.mktemp("real") / "run"
+    composed = scenario.compose(run_folder.CONFIG, "peg", "tandem", {})
+    Evaluation("demonstrations", composed, None, 5_000_000, 2, folder, robot_state_hz=100).run()
+    return folder / "log.lcm"

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.robot_state_t import robot_state_t
 
+from tandem.log import raw_events
 from tandem.wire import CHANNEL_OF
 
 SYNC = 0xEDA1DA01
@@ -38,3 +41,14 @@ def end(episode: int) -> episode_end_t:
     message = episode_end_t()
     message.episode, message.n_steps, message.phase = episode, 10, 1
     return message
+
+
+def altered(log: Path, out: Path, change: Callable[[str, Any], Any]) -> Path:
+    """A copy of a log. change(channel, message): alters the message; returns False to leave the event out."""
+    pieces = []
+    for event in raw_events(log):
+        message = event.message
+        if change(event.channel, message) is not False:
+            pieces.append(event_bytes(len(pieces), event.timestamp, event.channel, message.encode()))
+    out.write_bytes(b"".join(pieces))
+    return out

@@ -62,14 +62,8 @@ def make_windows(
             f"Episode {episode.number} ({episode.phase}) ended by {episode.outcome}; it must not reach the learner."
         )
     length = episode.n_steps
-    index = np.arange(length)[:, None] + np.arange(horizon)[None, :]  # (T, h) step of each action
-    valid = index < length
-    last = np.minimum(index, length - 1)
-
-    executed = episode.executed_action[last]  # (T, h, 7)
-    hold = np.zeros(7, np.float32)
-    hold[GRIPPER] = episode.executed_action[-1, GRIPPER]
-    chunk = np.where(valid[:, :, None], executed, hold)[:, :, list(columns)]
+    chunk, valid = executed_chunks(episode, columns, horizon)
+    last = np.minimum(np.arange(length)[:, None] + np.arange(horizon)[None, :], length - 1)  # (T, h) steps
 
     by_human = np.ones(length, bool) if episode.is_demonstration else episode.intervention
     earned = discounted_returns(episode.reward, discount)
@@ -86,7 +80,7 @@ def make_windows(
     net = np.append(earned - paid, 0.0)
     return Windows(
         observation=episode.observation,
-        chunk=chunk.astype(np.float32),
+        chunk=chunk,
         valid=valid,
         human=valid & by_human[last],
         mc_return=(credited - paid).astype(np.float32),
@@ -94,6 +88,17 @@ def make_windows(
         n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
     )
+
+
+def executed_chunks(episode: Episode, columns: Sequence[int], horizon: int) -> tuple[Floats, Bools]:
+    """(T, h, A) what was executed from each step on, the tail padded by "hold", and (T, h) which of it was."""
+    index = np.arange(episode.n_steps)[:, None] + np.arange(horizon)[None, :]
+    valid = index < episode.n_steps
+    executed = episode.executed_action[np.minimum(index, episode.n_steps - 1)]  # (T, h, 7)
+    hold = np.zeros(7, np.float32)
+    hold[GRIPPER] = episode.executed_action[-1, GRIPPER]
+    chunk = np.where(valid[:, :, None], executed, hold)[:, :, list(columns)]
+    return chunk.astype(np.float32), valid
 
 
 def discounted_returns(reward: Floats, discount: float) -> np.ndarray:

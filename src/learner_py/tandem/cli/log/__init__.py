@@ -2,7 +2,7 @@
 
 import typer
 
-from tandem.cli.log import check, compare, echo, edit, info, stats
+from tandem.cli.log import check, compare, echo, edit, info, plot, spy_jar, stats, video
 
 app = typer.Typer(help="Look into event logs (RUN/log.lcm).", no_args_is_help=True)
 
@@ -10,6 +10,9 @@ app.command("info")(info.info)
 app.command("stats")(stats.stats)
 app.command("check")(check.check)
 app.command("echo")(echo.echo)
+app.command("plot")(plot.plot)
+app.command("video")(video.video)
 app.command("cut")(edit.cut)
 app.command("merge")(edit.merge)
+app.command("spy-jar")(spy_jar.spy_jar)
 app.command("compare")(compare.compare)

@@ -79,7 +79,8 @@ class Report:
         told = rows[: max(0, KEPT - self.counts[kind])]
         for i in told.tolist():
             self.add(kind, sentence(i), episode[i], None if tick is None else tick[i])
-        self.counts[kind] += len(rows) - len(told)
+        if len(rows):
+            self.counts[kind] += len(rows) - len(told)
 
     @property
     def errors(self) -> int:

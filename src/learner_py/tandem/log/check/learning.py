@@ -57,6 +57,11 @@ def steps(run: Run, report: Report) -> dict[str, Array]:
     log = run.log
     steps = log.columns("EPISODE_STEP", *_STEP)
     span = log.episodes.of(steps["row"])
+    numbers = np.append(log.episodes.number, -1)
+    stray = (span < len(log.episodes)) & (steps["episode"] != numbers[span])
+    for number in np.unique(steps["episode"][stray]):
+        report.add("episodes", "its steps are there and its end is not.", number)
+    steps, span = {name: column[~stray] for name, column in steps.items()}, span[~stray]
     # The last of those that came again counts, and what no end follows was run again.
     order = np.lexsort((steps["row"], steps["step"], span))
     once = np.append(np.diff(steps["step"][order]) != 0, True)[: len(order)]

@@ -1,0 +1,109 @@
+"""LCM's own programs read, play and record our channels; what they write, we read."""
+
+from __future__ import annotations
+
+import subprocess
+import time
+from collections import Counter
+from pathlib import Path
+
+import lcm
+import pytest
+
+from tandem import processes
+from tandem.log import EventLog, raw_events
+from tandem.log.spy_jar import build, lcm_jars, lcm_program, missing
+from tandem.run_folder import RunFolderError
+from tandem.wire import CHANNELS
+
+PROBE = """
+public class Probe {
+  public static void main(String[] names) throws Exception {
+    lcm.spy.LCMTypeDatabase types = new lcm.spy.LCMTypeDatabase();
+    for (String name : names) {
+      long fingerprint = Class.forName("tandem." + name).getField("LCM_FINGERPRINT").getLong(null);
+      System.out.println("PROBE " + fingerprint + " " + types.getClassByFingerprint(fingerprint).getName());
+    }
+  }
+}
+"""
+
+
+def test_lcm_logfilter_takes_our_channels_out_of_a_log(real_log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "filtered.lcm"
+    subprocess.run([lcm_program("lcm-logfilter"), "-c", "EPISODE_.*", str(real_log), str(out)], check=True)
+    wanted = frozenset({"EPISODE_STEP", "EPISODE_END"})
+    ours = [(e.timestamp, e.channel, e.data) for e in raw_events(real_log, wanted)]
+    assert [(e.timestamp, e.channel, e.data) for e in raw_events(out)] == ours
+    assert EventLog(out).episodes.number.tolist() == [0, 1]
+
+
+def _until_it_writes(logger: subprocess.Popen[bytes], network: lcm.LCM, file: Path, more_than: int) -> None:
+    deadline = time.monotonic() + 20.0
+    while not file.exists() or file.stat().st_size <= more_than:
+        assert time.monotonic() < deadline and logger.poll() is None
+        network.publish("READY", b"")
+        time.sleep(0.02)
+
+
+def test_what_lcm_logplayer_plays_and_lcm_logger_records_is_the_log(real_log: Path, tmp_path: Path) -> None:
+    recorded, url = tmp_path / "recorded.lcm", processes.free_lcm_url()
+    logger = subprocess.Popen([lcm_program("lcm-logger"), "-q", "-l", url, str(recorded)])
+    try:
+        network = lcm.LCM(url)
+        _until_it_writes(logger, network, recorded, 0)
+        subprocess.run(
+            [lcm_program("lcm-logplayer"), "--speed=4", f"--lcm-url={url}", str(real_log)],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
+        time.sleep(0.2)
+        # it hands over what it heard with the next event that comes 100 ms later
+        _until_it_writes(logger, network, recorded, recorded.stat().st_size)
+    finally:
+        logger.terminate()
+        logger.wait(10.0)
+    sent = Counter((e.channel, e.data) for e in raw_events(real_log))
+    heard = Counter((e.channel, e.data) for e in raw_events(recorded) if e.channel != "READY")
+    assert heard == sent
+
+
+def test_lcm_spy_finds_every_type_in_the_jar_when_there_is_java(tmp_path: Path) -> None:
+    if sentence := missing():
+        with pytest.raises(RunFolderError, match="default-jdk-headless"):
+            build(tmp_path / "types.jar")
+        assert "not found" in sentence
+        return
+    jar = build(tmp_path / "types.jar")
+    (tmp_path / "Probe.java").write_text(PROBE)
+    classpath = ":".join(map(str, [jar, *lcm_jars()]))
+    names = [message_type.__name__ for message_type in CHANNELS.values()]
+    found = subprocess.run(
+        [
+            "java",
+            "-XX:TieredStopAtLevel=1",
+            "-Djava.awt.headless=true",
+            "-cp",
+            classpath,
+            str(tmp_path / "Probe.java"),
+            *names,
+        ],
+        env={"PATH": "/usr/bin:/bin", "CLASSPATH": classpath},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    told = dict(line.split()[1:] for line in found.splitlines() if line.startswith("PROBE"))
+    for message_type in CHANNELS.values():
+        packed = message_type._get_packed_fingerprint()  # type: ignore[attr-defined]
+        assert told[str(int.from_bytes(packed, "big", signed=True))] == f"tandem.{message_type.__name__}"
+
+
+def test_without_java_a_sentence_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sentence = missing(str(tmp_path))
+    assert sentence is not None and "java, javac, jar not found" in sentence
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(RunFolderError, match="default-jdk-headless"):
+        build(tmp_path / "types.jar")
