@@ -14,6 +14,7 @@ from tandem.cli import (
     bench_export,
     bench_handover,
     bench_learner,
+    bench_log,
     bench_loop,
     bench_policy,
     bench_recording,
@@ -35,6 +36,7 @@ def _group() -> None:
 app.command("learner")(bench_learner.learner)
 app.command("handover")(bench_handover.handover)
 app.command("tracking")(bench_tracking.tracking)
+app.command("log")(bench_log.log)
 app.command("loop")(bench_loop.loop)
 app.command("policy")(bench_policy.policy)
 app.command("export")(bench_export.export)

@@ -26,7 +26,7 @@ from tandem.log.index import Index, Progress, read_index, scan_log
 from tandem.log.layout import Layout, native
 from tandem.wire import CHANNELS, decode
 
-_BLOCK = 16 << 20  # bytes read at a time
+_BLOCK = 2 << 20  # bytes read at a time
 _OF_THE_START = ("SCENARIO", "PROVENANCE")
 _NEAR = 64 << 10  # bytes between two wanted events that are read rather than skipped
 
@@ -115,6 +115,9 @@ class EventLog:
             found = list(self._decoded(channel, part, self._data_at(part, at), buffer, names))
             if not found:
                 continue
+            if len(found) == 1:
+                yield {"row": found[0][0], **found[0][1]}
+                continue
             row = np.concatenate([decoded for decoded, _ in found])
             order = np.argsort(row)
             columns = {name: _joined([values[name] for _, values in found])[order] for name in names}
@@ -139,7 +142,9 @@ class EventLog:
                     continue
                 records = overlapping(buffer, layout.dtype)[at[rest]]
                 same = layout.fits(records)
-                yield rows[rest[same]], {name: native(records[name][same]) for name in names}
+                if not same.all():
+                    records = records[same]
+                yield rows[rest[same]], {name: native(records[name]) for name in names}
                 rest = rest[~same]
 
     def _data_at(self, rows: Array, at: Array) -> Array:
@@ -174,7 +179,11 @@ class EventLog:
                     held, i = held + len(piece), stop
                     cut = len(piece) < wanted  # by its writer meanwhile
                     if held >= _BLOCK or cut or i == len(rows):
-                        yield rows[first:whole], np.concatenate(at), b"".join(pieces)
+                        yield (
+                            rows[first:whole],
+                            np.concatenate(at),
+                            pieces[0] if len(pieces) == 1 else b"".join(pieces),
+                        )
                         first, pieces, at, held = i, [], [], 0
                     if cut:
                         return

@@ -31,7 +31,7 @@ HEADER = np.dtype(
 )
 LONGEST_CHANNEL = 63  # bytes, LCM_MAX_CHANNEL_NAME_LENGTH
 LARGEST_DATA = 1 << 28  # bytes, LCM_MAX_MESSAGE_SIZE
-BLOCK = 32 << 20  # bytes read at a time
+BLOCK = 16 << 20  # bytes read at a time
 CHAINS = 512  # walked in step in a block
 
 Array = NDArray[Any]

@@ -116,4 +116,8 @@ def native(values: NDArray[Any]) -> NDArray[Any]:
     """The same values in this machine's byte order; strings as text."""
     if values.dtype.kind == "S":
         return np.char.decode(np.char.rstrip(values, b"\0"), "utf-8", "replace")
-    return values.astype(values.dtype.newbyteorder("="))
+    order = values.dtype.newbyteorder("=")
+    if values.dtype.names or values.dtype == order:
+        return values.astype(order)
+    # first together, then turned round: several times faster than both at once
+    return np.array(values, order="C").byteswap(inplace=True).view(order)
