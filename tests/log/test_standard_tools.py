@@ -38,12 +38,13 @@ def test_lcm_logfilter_takes_our_channels_out_of_a_log(real_log: Path, tmp_path:
     assert EventLog(out).episodes.number.tolist() == [0, 1]
 
 
-def _until_it_writes(logger: subprocess.Popen[bytes], network: lcm.LCM, file: Path, more_than: int) -> None:
-    deadline = time.monotonic() + 20.0
-    while not file.exists() or file.stat().st_size <= more_than:
+def _until_it_has(logger: subprocess.Popen[bytes], network: lcm.LCM, file: Path, channel: str) -> None:
+    """Publishes on a channel until the recorder has written it, and with it all that came before."""
+    deadline = time.monotonic() + 60.0
+    while not file.exists() or channel.encode() not in file.read_bytes():
         assert time.monotonic() < deadline and logger.poll() is None
-        network.publish("READY", b"")
-        time.sleep(0.02)
+        network.publish(channel, b"")
+        time.sleep(0.05)
 
 
 def test_what_lcm_logplayer_plays_and_lcm_logger_records_is_the_log(real_log: Path, tmp_path: Path) -> None:
@@ -51,20 +52,20 @@ def test_what_lcm_logplayer_plays_and_lcm_logger_records_is_the_log(real_log: Pa
     logger = subprocess.Popen([lcm_program("lcm-logger"), "-q", "-l", url, str(recorded)])
     try:
         network = lcm.LCM(url)
-        _until_it_writes(logger, network, recorded, 0)
+        _until_it_has(logger, network, recorded, "BEGIN")
         subprocess.run(
             [lcm_program("lcm-logplayer"), "--speed=4", f"--lcm-url={url}", str(real_log)],
             check=True,
             stdout=subprocess.DEVNULL,
         )
-        time.sleep(0.2)
-        # it hands over what it heard with the next event that comes 100 ms later
-        _until_it_writes(logger, network, recorded, recorded.stat().st_size)
+        _until_it_has(logger, network, recorded, "FINISHED")
     finally:
         logger.terminate()
         logger.wait(10.0)
     sent = Counter((e.channel, e.data) for e in raw_events(real_log))
-    heard = Counter((e.channel, e.data) for e in raw_events(recorded) if e.channel != "READY")
+    heard = Counter(
+        (e.channel, e.data) for e in raw_events(recorded) if e.channel not in ("BEGIN", "FINISHED")
+    )
     assert heard == sent
 
 
