@@ -3,6 +3,9 @@
 import typer
 
 from tandem.cli.log import check, compare, echo, edit, info, plot, spy_jar, stats, video
+from tandem.cli.log.common import find
+
+__all__ = ["app", "find"]
 
 app = typer.Typer(help="Look into event logs (RUN/log.lcm).", no_args_is_help=True)
 
