@@ -22,8 +22,9 @@ from tandem_lcm.tandem.controller_status_t import controller_status_t
 from tandem_lcm.tandem.learner_status_t import learner_status_t
 
 from tandem import processes
+from tandem.log import raw_events
 from tandem.processes import Child
-from tandem.run_folder import ROOT, RunFolder, raw_events
+from tandem.run_folder import ROOT, RunFolder
 from tandem.spy import once
 from tandem.spy.bench import BENCH_PREFIX, Load, program
 from tandem.spy.layout import Layout, of_fingerprint

@@ -15,7 +15,8 @@ import lcm
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.learner_status_t import learner_status_t
 
-from tandem.run_folder import RawEvent, RunFolderError, raw_events, shown
+from tandem.log import RawEvent, raw_events
+from tandem.run_folder import RunFolderError, shown
 from tandem.spy.model import Batch
 from tandem.summary import read_progress
 
