@@ -7,6 +7,7 @@ extras_needed=no  # gym-hil: `bench sim` requires it, the videos of `train` and 
 ray_needed=no     # `table --ray`, `ablate --ray`, and their tests
 rerun_needed=no   # `export rerun`, `bench export`, and their tests
 lerobot_needed=no # LeRobot's own reader: tests alone
+test_needed=no    # Debian packages of tests alone
 peers_needed=no   # ONNX Runtime and OpenVINO, and the programs that stand beside them in `bench policy`
 
 say() { printf 'tandem: %s\n' "$*" >&2; }
@@ -151,9 +152,8 @@ setup_rerun() {
 
 setup_lerobot() {
   local stamp
-  stamp=$(stamp_of requirements-lerobot.txt scripts/debian-packages-lerobot.txt)
+  stamp=$(stamp_of requirements-lerobot.txt scripts/debian-packages-test.txt)
   stamped lerobot "$stamp" && return 0
-  setup_packages packages-lerobot scripts/debian-packages-lerobot.txt
   run_step lerobot "Installing LeRobot's dataset reader" install_lerobot "$setup_dir/lerobot" ||
     die "LeRobot's dataset reader did not install ($(tail -n 1 "$setup_dir/lerobot.log")). See $PWD/$setup_dir/lerobot.log; check the network and call again."
   write_stamp lerobot "$stamp"
@@ -225,14 +225,15 @@ setup_all() {
   case "${1:-} ${2:-}" in
     "bench sim") extras_needed=required ;;
     "bench policy") peers_needed=yes ;;
-    "test "*) ray_needed=yes rerun_needed=yes lerobot_needed=yes ;;
+    "bench learner") test_needed=yes ;;
+    "test "*) test_needed=yes ray_needed=yes rerun_needed=yes lerobot_needed=yes ;;
     "export rerun" | "bench export") rerun_needed=yes ;;
     "train "* | "demo "*) extras_needed=wanted ;;
   esac
   for word in "$@"; do
     case "$word" in
       --ray | --ray=*) ray_needed=yes ;;
-      --help | -h) extras_needed=no ray_needed=no rerun_needed=no lerobot_needed=no peers_needed=no; break ;;
+      --help | -h) extras_needed=no test_needed=no ray_needed=no rerun_needed=no lerobot_needed=no peers_needed=no; break ;;
     esac
   done
 
@@ -244,6 +245,7 @@ setup_all() {
     flock 9
   fi
   setup_packages packages scripts/debian-packages.txt
+  [ "$test_needed" = no ] || setup_packages packages-test scripts/debian-packages-test.txt
   setup_venv
   [ "$extras_needed" = no ] || setup_extras
   [ "$ray_needed" = no ] || setup_ray

@@ -73,7 +73,7 @@ def run(config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> RunFol
 def browsed(page: Path, profile: Path) -> tuple[str, list[str], list[str]]:
     """(DOM after loading, lines of its console, addresses that it asked for) in headless Chromium."""
     browser = shutil.which("chromium")
-    assert browser, "chromium is missing; ./tandem sets it up (scripts/debian-packages.txt)"
+    assert browser, "chromium is missing; ./tandem test sets it up (scripts/debian-packages-test.txt)"
     network = profile.with_suffix(".net.json")
     done = subprocess.run(
         [

@@ -15,7 +15,7 @@ namespace tandem {
 namespace {
 
 constexpr int64_t kStatusEveryUs = 100'000;
-constexpr int64_t kRobotStateEveryUs = 10'000;
+constexpr int64_t kRobotStateEveryUs = 9'000;  // 100 Hz, which come a little early or late
 constexpr int64_t kResendEveryUs = 500'000;
 constexpr int64_t kListenUs = 350'000;  // three status periods of another controller
 
@@ -111,8 +111,13 @@ void Link::send(std::shared_ptr<const FinishedEpisode> episode) {
 }
 
 void Link::send(const robot_state_t& state) {
-  const std::lock_guard lock(mutex_);
-  robot_state_ = std::make_unique<robot_state_t>(state);
+  bool due;
+  {
+    const std::lock_guard lock(mutex_);
+    robot_state_ = std::make_unique<robot_state_t>(state);
+    due = monotonic_us() >= next_robot_state_us_;
+  }
+  if (due) wake();
 }
 
 void Link::send(const action_chunk_t& chunk) {
@@ -174,7 +179,10 @@ void Link::publish_queued() {
     chunks.swap(chunks_);
     acks.swap(acks_);
     faults.swap(faults_);
-    if (now_us >= next_robot_state_us_) robot_state.swap(robot_state_);
+    if (robot_state_ && now_us >= next_robot_state_us_) {
+      robot_state.swap(robot_state_);
+      next_robot_state_us_ = now_us + kRobotStateEveryUs;
+    }
     for (auto& [number, pending] : pending_) {
       if (now_us < pending.send_at_us) continue;
       pending.send_at_us = now_us + kResendEveryUs;
@@ -182,10 +190,7 @@ void Link::publish_queued() {
       if (due.size() == 8) break;
     }
   }
-  if (robot_state) {
-    next_robot_state_us_ = now_us + kRobotStateEveryUs;
-    lcm_.publish("ROBOT_STATE", robot_state.get());
-  }
+  if (robot_state) lcm_.publish("ROBOT_STATE", robot_state.get());
   for (const action_chunk_t& chunk : chunks) lcm_.publish("ACTION_CHUNK", &chunk);
   for (const policy_ack_t& ack : acks) lcm_.publish("POLICY_ACK", &ack);
   for (const controller_fault_t& fault : faults) lcm_.publish("CONTROLLER_FAULT", &fault);

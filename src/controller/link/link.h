@@ -114,14 +114,15 @@ class Link {
     int64_t send_at_us = 0;    ///< next resend
     int64_t answer_at_us = 0;  ///< a request is not answered before
   };
-  std::mutex mutex_;  // guards the next five
+  std::mutex mutex_;  // guards the next six
   std::map<int64_t, Pending> pending_;
   std::vector<action_chunk_t> chunks_;
   std::vector<policy_ack_t> acks_;
   std::vector<controller_fault_t> faults_;
   std::unique_ptr<robot_state_t> robot_state_;
+  int64_t next_robot_state_us_ = 0;
 
-  int64_t next_status_us_ = 0, next_robot_state_us_ = 0;
+  int64_t next_status_us_ = 0;
   std::atomic<bool> stopping_{false};
   std::thread thread_;
 };
