@@ -8,8 +8,9 @@ import lcm
 import numpy as np
 from small_run import invoke
 
+from tandem.log import raw_events
 from tandem.policy_file import read_safetensors
-from tandem.run_folder import RunFolder, raw_events
+from tandem.run_folder import RunFolder
 
 
 def test_log_gives_the_runs_buffer_and_policies_again(run: RunFolder, tmp_path: Path) -> None:
