@@ -8,7 +8,12 @@
 namespace tandem {
 namespace {
 
-constexpr double kHoleDepth = 0.03;  // m, how far below the rim he wants the tip
+// How he tells by eye: fingers this near to the width of what they hold hold it, when the hand is
+// this near to it; an object this near to its end is placed; fingers this much wider are off it.
+constexpr double kHeldWidth = 0.003, kHeldReach = 0.02, kPlaced = 0.003, kFreeWidth = 0.008;  // m
+constexpr double kInside = 0.005;    // m off the axis: what is below the goal's rim is inside of it
+constexpr double kCalmAhead = 0.03;  // m before the end of a leg that his hand begins to calm down
+constexpr double kGraspAhead = 0.1;  // m of way that taking hold counts for
 
 Pose pose(const double* p, const double* q) {
   return {{p[0], p[1], p[2]}, Eigen::Quaterniond(q[0], q[1], q[2], q[3])};
@@ -40,6 +45,13 @@ OperatorRules read_rules(Section section) {
   r.push_force = hand.number("push_force_N", 0.5, 100.0);
   r.wiggle_after_steps = static_cast<int>(hand.integer("wiggle_after_steps", 1, 100));
   r.wiggle_m = hand.number("wiggle_m", 0.0, 0.01);
+  Section reach = hand.section("reach");
+  r.reach_hover_m = reach.number("hover_m", 0.005, 0.2);
+  r.reach_align_m = reach.number("align_m", 0.0001, 0.02);
+  r.reach_align_rad = reach.number("align_rad", 0.001, 0.5);
+  r.reach_down_m = reach.number("down_m", 0.001, 0.1);
+  r.grip_m = reach.number("grip_m", 0.0005, 0.02);
+  reach.finish();
   hand.finish();
   Section help = section.section("help");
   r.reaction_steps_low = static_cast<int>(help.integer("reaction_steps_low", 0, 50));
@@ -78,9 +90,10 @@ teleop_command_t ScriptedOperator::answer(const world_state_t& world) {
   last_.tick_answered = world.tick;
   last_.engaged = engaged ? 1 : 0;
   last_.label = teleop_command_t::LABEL_NONE;
-  last_.device_gripper = 1.0;
   last_.operator_id = rules_.name;
-  const Twist twist = engaged ? move(world, expect(world, views_.front())) : Twist(Twist::Zero());
+  const View seen = expect(world, views_.front());
+  last_.device_gripper = grip(world, seen);
+  const Twist twist = engaged ? move(world, seen) : Twist(Twist::Zero());
   for (int i = 0; i < 6; ++i) last_.device_twist[i] = twist[i];
   return last_;
 }
@@ -96,22 +109,42 @@ void ScriptedOperator::begin_episode(const world_state_t& world) {
   views_.clear();
   tremor_.setZero();
   pause_left_ = stuck_steps_ = 0;
-  aligned_ = engaged_ = false;
+  aligned_ = closing_ = engaged_ = false;
   reason_steps_ = held_steps_ = since_best_ = force_steps_ = 0;
   best_distance_ = lowest_ = 1e9;
 }
 
 ScriptedOperator::View ScriptedOperator::look(const world_state_t& world) const {
-  const Pose object = pose(world.p_WO, world.q_WO), goal = pose(world.p_WG, world.q_WG);
-  View view;
-  view.X_WE = pose(world.p_WE, world.q_WE);
-  view.R_WG = goal.R.toRotationMatrix();
-  view.tip = goal.R.conjugate() * (object.p - goal.p) + see_bias_;
-  // The object's z points into the hole: turn it about its x axis before comparing.
-  const Eigen::Quaterniond upright = object.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0);
-  view.yaw = log_map(goal.R * upright.conjugate()).z() + see_bias_yaw_;
-  view.distance = (view.tip + Eigen::Vector3d(0.0, 0.0, kHoleDepth)).norm();
-  view.force = Eigen::Vector3d(world.F_ext_W[0], world.F_ext_W[1], world.F_ext_W[2]).norm();
+  // The z of hand and object points into what they should meet: turn it about x before comparing.
+  const Eigen::Quaterniond turn(0.0, 1.0, 0.0, 0.0);
+  const Pose object = pose(world.p_WO, world.q_WO), goal = pose(world.p_WG, world.q_WG),
+             hand = pose(world.p_WE, world.q_WE), grasp = pose(world.p_WH, world.q_WH);
+  const auto watch = [&](const Pose& moving, const Pose& target, Leg leg) {
+    View view;
+    view.leg = leg;
+    view.tip = target.R.conjugate() * (moving.p - target.p) + see_bias_;
+    view.yaw = log_map(target.R * (moving.R * turn).conjugate()).z() + see_bias_yaw_;
+    view.X_WE = hand;
+    view.R_WT = target.R.toRotationMatrix();
+    view.distance = (view.tip + Eigen::Vector3d(0.0, 0.0, world.goal_depth)).norm();
+    view.force = Eigen::Vector3d(world.F_ext_W[0], world.F_ext_W[1], world.F_ext_W[2]).norm();
+    view.gripper_width = world.gripper_width;
+    return view;
+  };
+  View view = watch(object, goal, Leg::place);
+  if (world.grasp_width <= 0.0) return view;
+
+  if (world.release && view.tip.z() < kPlaced - world.goal_depth &&
+      view.tip.head<2>().norm() < kInside) {
+    view.leg = Leg::leave;
+    return view;
+  }
+  const double reach = (hand.p - grasp.p).norm();
+  if (reach < kHeldReach && std::abs(world.gripper_width - world.grasp_width) < kHeldWidth)
+    return view;
+  const double placing = view.distance;
+  view = watch(hand, {grasp.p, grasp.R * turn}, Leg::reach);
+  view.distance = placing + reach + kGraspAhead;
   return view;
 }
 
@@ -133,9 +166,9 @@ bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
   return lost || away || rough || late;
 }
 
-bool ScriptedOperator::lets_go(const View& now) const {
+bool ScriptedOperator::lets_go(const world_state_t& world, const View& now) const {
   if (held_steps_ < rules_.hold_steps) return false;
-  const bool near = distance_at_takeover_ < rules_.near_m + kHoleDepth;
+  const bool near = distance_at_takeover_ < rules_.near_m + world.goal_depth;
   if (near) return -now.tip.z() >= rules_.seated_m;
   return now.distance <= rules_.recovered_share * distance_at_takeover_;
 }
@@ -145,7 +178,7 @@ bool ScriptedOperator::wants_authority(const world_state_t& world, const View& n
   if (world.phase == world_state_t::EVALUATION) return false;
   if (engaged_) {
     ++held_steps_;
-    if (lets_go(now)) {
+    if (lets_go(world, now)) {
       engaged_ = false;
       reason_steps_ = since_best_ = force_steps_ = 0;
       best_distance_ = now.distance;
@@ -157,7 +190,7 @@ bool ScriptedOperator::wants_authority(const world_state_t& world, const View& n
     engaged_ = true;
     held_steps_ = 0;
     distance_at_takeover_ = now.distance;
-    aligned_ = false;
+    aligned_ = closing_ = false;
     stuck_steps_ = 0;
     lowest_ = now.tip.z();
   }
@@ -169,7 +202,7 @@ ScriptedOperator::View ScriptedOperator::expect(const world_state_t& world, View
   if (seen.force > rules_.touch_force) return seen;
   const Pose commanded = pose(world.p_WE_commanded, world.q_WE_commanded);
   const Twist coming = minus(commanded, seen.X_WE);
-  seen.tip += seen.R_WG.transpose() * coming.head<3>();
+  seen.tip += seen.R_WT.transpose() * coming.head<3>();
   seen.yaw -= coming[5];
   return seen;
 }
@@ -190,36 +223,23 @@ Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
     return Twist::Zero();
   }
 
-  // Where the tip should go, in hole axes: over the axis first, then down it.
-  const double off_axis = seen.tip.head<2>().norm();
-  const bool inside = seen.tip.z() < -0.002;
-  if (off_axis < rules_.align_m && std::abs(seen.yaw) < rules_.align_rad) aligned_ = true;
-  if (off_axis > 5.0 * rules_.align_m && !inside) aligned_ = false;
-  const double target_z = aligned_ || inside ? -kHoleDepth : rules_.hover_m;
-  Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(), target_z - seen.tip.z());
-  // Off the axis he stays clear of the block, and lifts the peg before he carries it over.
-  if (off_axis > 0.02 && wanted.z() < 0.0 && seen.tip.z() < 0.02) wanted.z() = 0.0;
-  if (off_axis > 5.0 * rules_.align_m && seen.tip.z() < 0.5 * rules_.hover_m)
-    wanted.head<2>() *= 0.1;
-
-  // Stuck in the mouth: wiggle until the tip falls deeper.
-  if (seen.tip.z() < lowest_ - 0.0005) {
-    lowest_ = seen.tip.z();
-    stuck_steps_ = 0;
-  } else if (aligned_ || inside) {
-    ++stuck_steps_;
-  }
-  double turn = seen.yaw;
+  const Eigen::Vector3d wanted = heading(world, seen);
+  double turn = seen.leg == Leg::leave ? 0.0 : seen.yaw;
+  Eigen::Vector3d wiggle = Eigen::Vector3d::Zero();
   if (stuck_steps_ > rules_.wiggle_after_steps) {
-    wanted.x() += random.uniform(-rules_.wiggle_m, rules_.wiggle_m);
-    wanted.y() += random.uniform(-rules_.wiggle_m, rules_.wiggle_m);
+    wiggle.x() = random.uniform(-rules_.wiggle_m, rules_.wiggle_m);
+    wiggle.y() = random.uniform(-rules_.wiggle_m, rules_.wiggle_m);
     turn += random.uniform(-0.03, 0.03);
   }
 
   // As a device twist: a share of the error, at most his speed; he presses no further than his hand
   // likes.
-  Eigen::Vector3d step = rules_.gain * (seen.R_WG * wanted);
-  if (seen.tip.z() < rules_.hover_m) step.z() = std::max(step.z(), -rules_.touch_m);
+  Eigen::Vector3d step = rules_.gain * (seen.R_WT * (wanted + wiggle));
+  if (seen.leg == Leg::reach) {
+    if (seen.tip.z() < rules_.reach_hover_m) step.z() = std::max(step.z(), -rules_.reach_down_m);
+  } else if (seen.tip.z() < rules_.hover_m) {
+    step.z() = std::max(step.z(), -rules_.touch_m);
+  }
   if (world.F_ext_W[2] > rules_.push_force && step.z() < 0.0) step.z() = 0.002;
   Twist twist = Twist::Zero();
   const double errors[6] = {step.x(), step.y(), step.z(), 0.0, 0.0, rules_.gain * turn};
@@ -231,11 +251,67 @@ Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
   }
   // Slow down on the last millimetres: tremor is a share of the motion, and small when still.
   twist /= largest;
-  const double calm = std::clamp(seen.distance / 0.05, 0.25, 1.0);
+  const double left =
+      seen.leg == Leg::reach ? seen.tip.norm() : seen.distance + (kCalmAhead - world.goal_depth);
+  const double calm = std::clamp(left / 0.05, 0.25, 1.0);
   for (int i = 0; i < 6; ++i) {
     if (world.action_limit[i] > 0.0) twist[i] = std::clamp(twist[i] + calm * tremor_[i], -1.0, 1.0);
   }
   return twist;
+}
+
+double ScriptedOperator::grip(const world_state_t& world, const View& seen) {
+  if (world.grasp_width <= 0.0) return 1.0;
+  // Once he closes he goes on, unless the object gets away or the fingers meet.
+  const double slack = closing_ ? 2.0 : 1.0;
+  const bool there = seen.tip.head<2>().norm() < slack * rules_.reach_align_m &&
+                     std::abs(seen.tip.z()) < slack * rules_.grip_m &&
+                     std::abs(seen.yaw) < 2.0 * slack * rules_.reach_align_rad;
+  const bool empty = seen.gripper_width < world.grasp_width - kHeldWidth;
+  closing_ = seen.leg == Leg::place || (seen.leg == Leg::reach && there && !empty);
+  return closing_ ? 1.0 : -1.0;
+}
+
+Eigen::Vector3d ScriptedOperator::heading(const world_state_t& world, const View& seen) {
+  const double off_axis = seen.tip.head<2>().norm();
+  const bool hand_is_free = seen.gripper_width > world.grasp_width + kFreeWidth;
+  if (seen.leg == Leg::leave) return {0.0, 0.0, hand_is_free ? rules_.reach_hover_m : 0.0};
+
+  if (seen.leg == Leg::reach) {
+    // Over the object with open fingers, then down to it.
+    const bool aligned =
+        off_axis < rules_.reach_align_m && std::abs(seen.yaw) < rules_.reach_align_rad;
+    if (aligned) aligned_ = true;
+    if (off_axis > 3.0 * rules_.reach_align_m) aligned_ = false;
+    stuck_steps_ = 0;
+    lowest_ = 1e9;
+    if (closing_) return Eigen::Vector3d::Zero();
+    const bool down = aligned_ && hand_is_free;
+    Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(),
+                           (down ? 0.0 : rules_.reach_hover_m) - seen.tip.z());
+    if (!aligned_ && seen.tip.z() < 0.5 * rules_.reach_hover_m) wanted.head<2>() *= 0.1;
+    return wanted;
+  }
+
+  // Over the axis first, then down it.
+  const bool inside = seen.tip.z() < -0.002 && off_axis < kInside;
+  if (off_axis < rules_.align_m && std::abs(seen.yaw) < rules_.align_rad) aligned_ = true;
+  if (off_axis > 5.0 * rules_.align_m && !inside) aligned_ = false;
+  const double target_z = aligned_ || inside ? -world.goal_depth : rules_.hover_m;
+  Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(), target_z - seen.tip.z());
+  // Off the axis he stays clear of the goal, and lifts the object before he carries it over.
+  if (off_axis > 0.02 && wanted.z() < 0.0 && seen.tip.z() < 0.02) wanted.z() = 0.0;
+  if (off_axis > 5.0 * rules_.align_m && seen.tip.z() < 0.5 * rules_.hover_m)
+    wanted.head<2>() *= 0.1;
+
+  // Stuck in the mouth: he wiggles until it falls deeper.
+  if (seen.tip.z() < lowest_ - 0.0005) {
+    lowest_ = seen.tip.z();
+    stuck_steps_ = 0;
+  } else if (aligned_ || inside) {
+    ++stuck_steps_;
+  }
+  return wanted;
 }
 
 }  // namespace tandem

@@ -18,6 +18,7 @@ struct OperatorRules {
   int pause_steps;
   double hover_m, align_m, align_rad, touch_m, touch_force, push_force, wiggle_m;
   int wiggle_after_steps;
+  double reach_hover_m, reach_align_m, reach_align_rad, reach_down_m, grip_m;
   int reaction_steps_low, reaction_steps_high, no_progress_steps;
   double patience_gain, progress_m, away_m, force;
   int force_steps, hurry_steps;
@@ -42,14 +43,20 @@ class ScriptedOperator {
   teleop_command_t answer(const world_state_t& world);
 
  private:
-  /// Where the tip is relative to the hole, as he sees it: hole axes, z = height above the rim.
+  /// What he does next: brings the hand to an object that lies about, brings the object to its
+  /// goal, or leaves it there.
+  enum class Leg { reach, place, leave };
+
+  /// What moves (object, or hand on its way to one), seen from where it should go (goal, or grasp).
   struct View {
-    Eigen::Vector3d tip;
-    double yaw;  ///< rad, turn that would align the peg
+    Leg leg;
+    Eigen::Vector3d tip;  ///< m, in the target's axes, z = height above it
+    double yaw;           ///< rad, turn that would align it
     Pose X_WE;
-    Eigen::Matrix3d R_WG;
-    double distance;  ///< m, to the bottom of the hole
-    double force;     ///< N
+    Eigen::Matrix3d R_WT;  ///< target's axes
+    double distance;       ///< m, still to go, over both legs
+    double force;          ///< N
+    double gripper_width;  ///< m
   };
 
   void begin_episode(const world_state_t& world);
@@ -58,8 +65,12 @@ class ScriptedOperator {
   View expect(const world_state_t& world, View seen) const;
   bool wants_authority(const world_state_t& world, const View& now);
   bool has_reason(const world_state_t& world, const View& now);
-  bool lets_go(const View& now) const;
+  bool lets_go(const world_state_t& world, const View& now) const;
+  /// What his fingers ask for, [-1, 1]: -1 open, 1 closed.
+  double grip(const world_state_t& world, const View& seen);
   Twist move(const world_state_t& world, const View& seen);
+  /// Where the tip should go, from where it is, m, target's axes.
+  Eigen::Vector3d heading(const world_state_t& world, const View& seen);
 
   OperatorRules rules_;
   teleop_command_t last_{};
@@ -74,7 +85,7 @@ class ScriptedOperator {
   Twist tremor_ = Twist::Zero();
   int pause_left_ = 0, stuck_steps_ = 0;
   double lowest_ = 0.0;
-  bool aligned_ = false;
+  bool aligned_ = false, closing_ = false;
 
   bool engaged_ = false;
   int reason_steps_ = 0, held_steps_ = 0, since_best_ = 0, force_steps_ = 0;

@@ -11,10 +11,10 @@ inline Section config(const std::string& file) {
   return Section::load(std::string(TANDEM_ROOT) + "/config/" + file);
 }
 
-/// The whole control side around a real simulated arm on the peg task, as main() wires it, without
-/// other threads. Its clock moves 1 ms a tick.
+/// The whole control side around a real simulated arm at a task, as main() wires it, without other
+/// threads. Its clock moves 1 ms a tick.
 struct Rig {
-  std::unique_ptr<Task> task = make_task(config("tasks/peg.yaml"));
+  std::unique_ptr<Task> task;
   Simulation simulation{std::string(TANDEM_ROOT) + "/" + task->spec().scene};
   ArmModel model{std::string(TANDEM_ROOT) + "/models/panda/panda.urdf"};
   ControlSettings control = read_control(config("controller.yaml"));
@@ -27,8 +27,10 @@ struct Rig {
 
   explicit Rig(ExecutionSettings execution = {.mode = ExecutionMode::open_loop,
                                               .horizon = kHorizon,
-                                              .execute = kHorizon})
-      : loop(robot, model, task->spec(), control, execution, records) {
+                                              .execute = kHorizon},
+               const std::string& task_name = "peg")
+      : task(make_task(config("tasks/" + task_name + ".yaml"))),
+        loop(robot, model, task->spec(), control, execution, records) {
     task->attach(simulation);
     model.set_load(simulation.held_load());
   }

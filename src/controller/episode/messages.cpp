@@ -78,6 +78,10 @@ world_state_t to_message(const StepSnapshot& snapshot, const TaskSpec& task) {
   put(snapshot.X_WE_commanded, m.p_WE_commanded, m.q_WE_commanded);
   put(snapshot.truth.X_WO, m.p_WO, m.q_WO);
   put(snapshot.truth.X_WG, m.p_WG, m.q_WG);
+  put(snapshot.truth.X_WH, m.p_WH, m.q_WH);
+  m.goal_depth = task.goal_depth;
+  m.grasp_width = task.grasp_width;
+  m.release = task.release ? 1 : 0;
   put(snapshot.F_ext_W, m.F_ext_W);
   put(task.action_limit, m.action_limit);
   m.gripper_width = snapshot.gripper_width;

@@ -9,7 +9,8 @@
 namespace tandem {
 namespace {
 
-constexpr double kGripperStroke = 0.08;  // m, Franka Hand fully open
+/// Of a gripper action: -1 open, 1 closed; m.
+constexpr double gripper_width(double action) { return 0.5 * (1.0 - action) * kGripperStroke; }
 
 // By so much a tick the commanded pose comes to a damped arm, m and rad.
 constexpr double kFollow = 0.0002, kFollowAngle = 0.002;
@@ -51,7 +52,7 @@ void ControlLoop::begin_episode(const EpisodeBegin& episode) noexcept {
   label_ = 0;
   grades_.fill(Grade::fresh);
   human_ = HumanCommand{};
-  gripper_ = 1.0;
+  gripper_ = task_.gripper_start;
   measure();
   F_ext_.setZero();
   F_ext_filtered_.setZero();
@@ -86,6 +87,7 @@ StepSnapshot ControlLoop::begin_step(const SceneTruth& truth, int64_t utime) noe
   snapshot.V_WE = arm_.V_WE;
   snapshot.F_ext_W = F_ext_filtered_;
   snapshot.gripper_width = robot_.state().gripper_width;
+  snapshot.gripper_commanded = gripper_width(gripper_);
   snapshot.truth = truth;
   snapshot.chunk_id = episode_.has_policy && executor_.needs_chunk(step) ? next_chunk_id_++ : -1;
 
@@ -201,7 +203,7 @@ void ControlLoop::tick(const TickInput& input) noexcept {
   // The gripper follows when the task lets it; else it stays as the task closed it.
   if (task_.axes[6] != 0.0) {
     gripper_ = blended[6];
-    robot_.grip(0.5 * (1.0 - gripper_) * kGripperStroke);
+    robot_.grip(gripper_width(gripper_));
   }
 
   // Commanded pose -> reference -> torque.

@@ -208,7 +208,7 @@ Outcome Run::run_steps() {
       outcome = Outcome::fault;
       break;
     }
-    if (task_.succeeded(task_.truth(robot_.simulation())) ||
+    if (task_.succeeded(task_.truth(robot_.simulation()), robot_.simulation()) ||
         loop_.label() == teleop_command_t::LABEL_SUCCESS) {
       outcome = Outcome::success;
       break;

@@ -47,11 +47,11 @@ void render(const Settings& settings) {
                  last = static_cast<double>(episode.moments.back().tick);
     for (double tick = first; tick < last; tick += step, ++frames) {
       const Moment moment = episode.at(tick);
-      cv::Mat picture = view.draw(moment);
+      cv::Mat picture = view.draw(moment, episode.object_at(tick));
       draw_overlay(picture, episode, moment, false);
       video.write(picture);
     }
-    cv::Mat picture = view.draw(episode.moments.back());
+    cv::Mat picture = view.draw(episode.moments.back(), episode.object_at(last));
     draw_overlay(picture, episode, episode.moments.back(), true);
     for (int i = 0; i < kFreeze * settings.fps; ++i, ++frames) video.write(picture);
   }

@@ -10,6 +10,7 @@
 #include <tandem/robot_state_t.hpp>
 #include <tandem/scenario_t.hpp>
 #include <tandem/world_state_t.hpp>
+#include <tuple>
 
 namespace tandem {
 namespace {
@@ -35,15 +36,24 @@ void take_scenario(const scenario_t& message, const std::string& path, Recording
   }
 }
 
+/// The two that lie around a tick, and how far it is from the first to the second, [0, 1].
+template <typename Stamped>
+std::tuple<const Stamped&, const Stamped&, double> around(const std::vector<Stamped>& all,
+                                                          double tick) {
+  const auto after =
+      std::find_if(all.begin(), all.end(), [&](const Stamped& s) { return s.tick >= tick; });
+  if (after == all.begin()) return {all.front(), all.front(), 0.0};
+  if (after == all.end()) return {all.back(), all.back(), 0.0};
+  const Stamped &a = *(after - 1), &b = *after;
+  return {a, b, (tick - a.tick) / (b.tick - a.tick)};
+}
+
+Pose between(const Pose& a, const Pose& b, double s) { return add(a, s * minus(b, a)); }
+
 }  // namespace
 
 Moment RecordedEpisode::at(double tick) const {
-  const auto after =
-      std::find_if(moments.begin(), moments.end(), [&](const Moment& m) { return m.tick >= tick; });
-  if (after == moments.begin()) return moments.front();
-  if (after == moments.end()) return moments.back();
-  const Moment &a = *(after - 1), &b = *after;
-  const double s = (tick - a.tick) / (b.tick - a.tick);
+  const auto [a, b, s] = around(moments, tick);
   Moment m = a;
   m.q += s * (b.q - a.q);
   m.gripper_width += s * (b.gripper_width - a.gripper_width);
@@ -52,10 +62,15 @@ Moment RecordedEpisode::at(double tick) const {
   return m;
 }
 
+ObjectPose RecordedEpisode::object_at(double tick) const {
+  const auto [a, b, s] = around(objects, tick);
+  return {a.tick, between(a.X_WO, b.X_WO, s), between(a.X_EO, b.X_EO, s)};
+}
+
 int RecordedEpisode::step_at(double tick) const {
-  const auto after = std::find_if(step_ticks.begin(), step_ticks.end(),
-                                  [&](int64_t start) { return start > tick; });
-  return std::max(0, static_cast<int>(after - step_ticks.begin()) - 1);
+  const auto after = std::find_if(objects.begin(), objects.end(),
+                                  [&](const ObjectPose& object) { return object.tick > tick; });
+  return std::max(0, static_cast<int>(after - objects.begin()) - 1);
 }
 
 Recording read_recording(const std::string& log_path, int episodes) {
@@ -73,12 +88,13 @@ Recording read_recording(const std::string& log_path, int episodes) {
       take_scenario(scenario, log_path, recording);
       running = RecordedEpisode();
     } else if (event->channel == "WORLD_STATE" && decode(*event, world)) {
-      if (running.step_ticks.empty()) {
-        running.X_EO = inverse(pose(world.p_WE, world.q_WE)) * pose(world.p_WO, world.q_WO);
+      if (running.objects.empty()) {
         running.X_WG = pose(world.p_WG, world.q_WG);
         running.max_steps = world.max_steps;
       }
-      running.step_ticks.push_back(world.tick);
+      if (!running.objects.empty() && world.tick <= running.objects.back().tick) continue;
+      const Pose X_WE = pose(world.p_WE, world.q_WE), X_WO = pose(world.p_WO, world.q_WO);
+      running.objects.push_back({world.tick, X_WO, inverse(X_WE) * X_WO});
     } else if (event->channel == "ROBOT_STATE" && decode(*event, robot)) {
       if (!running.moments.empty() && robot.tick <= running.moments.back().tick) continue;
       running.moments.push_back({robot.tick, JointVector::Map(robot.q_measured),
@@ -89,8 +105,7 @@ Recording read_recording(const std::string& log_path, int episodes) {
       running.phase = end.phase;
       running.outcome = end.outcome;
       running.n_steps = end.n_steps;
-      if (!running.moments.empty() && !running.step_ticks.empty())
-        kept.push_back(std::move(running));
+      if (!running.moments.empty() && !running.objects.empty()) kept.push_back(std::move(running));
       if (static_cast<int>(kept.size()) > episodes) kept.pop_front();
       running = RecordedEpisode();
     }

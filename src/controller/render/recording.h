@@ -8,6 +8,12 @@
 
 namespace tandem {
 
+/// Where the object was when a policy step began.
+struct ObjectPose {
+  int64_t tick = 0;  ///< ms since the episode began
+  Pose X_WO, X_EO;   ///< in the world, in the hand
+};
+
 /// The arm at one moment of a recorded episode.
 struct Moment {
   int64_t tick = 0;                                 ///< ms since the episode began
@@ -22,14 +28,14 @@ struct RecordedEpisode {
   int64_t number = 0;
   int phase = 0, outcome = 0;  ///< as in episode_end_t
   int n_steps = 0, max_steps = 0;
-  Pose X_EO;  ///< object in hand (its task frame, such as the peg's tip) in the tool frame
-  Pose X_WG;  ///< goal
+  Pose X_WG;                        ///< goal
   std::vector<Moment> moments;      ///< in order of ticks, at least one
-  std::vector<int64_t> step_ticks;  ///< tick at which each policy step began
+  std::vector<ObjectPose> objects;  ///< one a policy step, at least one
 
   /// Between the two nearest recorded moments; the first and the last one reach beyond their ends.
   Moment at(double tick) const;
-  int step_at(double tick) const;  ///< policy step that is running, from 0
+  ObjectPose object_at(double tick) const;  ///< the same for the object
+  int step_at(double tick) const;           ///< policy step that is running, from 0
 };
 
 /// The last `episodes` complete episodes of an LCM event log that the controller wrote.

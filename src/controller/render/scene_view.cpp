@@ -71,16 +71,17 @@ SceneView::~SceneView() {
 
 void SceneView::begin(const RecordedEpisode& episode) {
   Simulation& s = *simulation_;
-  s.place_body(s.body("hole"), episode.X_WG);
-  const int tip = s.site("peg_tip"), peg = s.body("peg");
-  const Pose X_PO{Eigen::Vector3d::Map(s.model()->site_pos + 3 * tip),
-                  Eigen::Quaterniond::Identity()};
-  s.place_body(peg, s.hand_to_tool() * episode.X_EO * inverse(X_PO));
+  s.place_site(s.site("goal"), episode.X_WG);
   Eigen::Vector3d::Map(close_.lookat) = episode.X_WG.p + Eigen::Vector3d(0, 0, 0.035);
 }
 
-cv::Mat SceneView::draw(const Moment& moment) {
-  simulation_->set_arm(moment.q, moment.gripper_width);
+cv::Mat SceneView::draw(const Moment& moment, const ObjectPose& object) {
+  Simulation& s = *simulation_;
+  s.set_arm(moment.q, moment.gripper_width);
+  const int site = s.site("object");
+  const bool in_hand = s.is_on_hand(s.model()->site_bodyid[site]);
+  s.place_site(site, in_hand ? s.tool_pose() * object.X_EO : object.X_WO);
+  s.forward();
   const int side = width_ * 9 / 20;
   cv::Mat picture(height_, width_, CV_8UC3);
   option_.geomgroup[kFarCovers] = 1;

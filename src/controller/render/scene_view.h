@@ -21,12 +21,12 @@ class SceneView {
             int height);
   ~SceneView();
 
-  /// Fixtures and held object of an episode; named as in models/peg (bodies peg, hole; site
-  /// peg_tip).
+  /// Puts the goal of an episode in its place: the body of the scene's site `goal`.
   void begin(const RecordedEpisode& episode);
 
-  /// BGR, 8 bit.
-  cv::Mat draw(const Moment& moment);
+  /// BGR, 8 bit. The body of the scene's site `object` is where it was: in the hand when it is
+  /// fixed to it, else in the world.
+  cv::Mat draw(const Moment& moment, const ObjectPose& object);
 
   Simulation& simulation() { return *simulation_; }
 

@@ -13,7 +13,6 @@ constexpr int kWindow = 100;
 constexpr double kTorqueStep = 1000.0 * Simulation::kTimeStep;
 constexpr double kToolSpeed = 1.7, kToolTurn = 2.5;  // m/s, rad/s, FER
 constexpr double kFilter = 0.05;                     // of a new value in the contact filter: 20 ms
-constexpr double kWidest = 0.08;                     // m, gripper
 constexpr double kBrakesHold = 0.02;                 // rad/s, below which they hold the position
 constexpr double kStandstill = 0.005;                // rad/s of every joint
 constexpr int kRestingCycles = 10;                   // of standstill end a motion
@@ -111,7 +110,7 @@ void MujocoRobot::skip() noexcept {
 
 void MujocoRobot::grip(double width) noexcept {
   if (!std::isfinite(width)) return;
-  width = std::clamp(width, 0.0, kWidest);
+  width = std::clamp(width, 0.0, kGripperStroke);
   if (width == grip_told_) return;
   grip_told_ = width;
   if (!injection_.misses_grip()) grip_heard_ = width;

@@ -9,6 +9,9 @@
 /// The robot as Franka's control interface (FCI) shows it: one torque command per 1 ms cycle.
 namespace tandem {
 
+/// m between the finger tips, Franka Hand fully open.
+inline constexpr double kGripperStroke = 0.08;
+
 enum class RobotMode : int8_t { idle = 0, moving = 1, reflex = 2, user_stopped = 3 };
 
 /// What the robot measured at the start of a control cycle. Gravity is compensated by the robot and

@@ -152,12 +152,10 @@ void Simulation::measure_push() noexcept {
 }
 
 void Simulation::set_arm(const JointVector& q, double gripper_width) noexcept {
+  mju_copy(data_->qpos, model_->qpos0, model_->nq);
+  mju_zero(data_->qvel, model_->nv);
   JointVector::Map(data_->qpos + arm_q_) = q;
-  JointVector::Map(data_->qvel + arm_v_).setZero();
-  for (int i = 0; i < 2; ++i) {
-    data_->qpos[finger_q_[i]] = 0.5 * gripper_width;
-    data_->qvel[finger_v_[i]] = 0.0;
-  }
+  for (int i = 0; i < 2; ++i) data_->qpos[finger_q_[i]] = 0.5 * gripper_width;
   mju_zero(data_->qfrc_applied, model_->nv);
   mju_zero(data_->qacc_warmstart, model_->nv);
   external_torque_.setZero();
@@ -191,6 +189,30 @@ void Simulation::place_body(int body, const Pose& X_PB) noexcept {
 
 Pose Simulation::placed_body(int body) const noexcept {
   return from_mujoco(model_->body_pos + 3 * body, model_->body_quat + 4 * body);
+}
+
+bool Simulation::is_free(int body) const noexcept {
+  return model_->body_jntnum[body] == 1 &&
+         model_->jnt_type[model_->body_jntadr[body]] == mjJNT_FREE;
+}
+
+void Simulation::place_free_body(int body, const Pose& X_WB) noexcept {
+  const int joint = model_->body_jntadr[body];
+  mjtNum* q = data_->qpos + model_->jnt_qposadr[joint];
+  Eigen::Vector3d::Map(q) = X_WB.p;
+  q[3] = X_WB.R.w(), q[4] = X_WB.R.x(), q[5] = X_WB.R.y(), q[6] = X_WB.R.z();
+  mju_zero(data_->qvel + model_->jnt_dofadr[joint], 6);
+}
+
+void Simulation::place_site(int site, const Pose& X_WS) noexcept {
+  const int body = model_->site_bodyid[site];
+  const Pose X_BS = from_mujoco(model_->site_pos + 3 * site, model_->site_quat + 4 * site);
+  const Pose X_WB = X_WS * inverse(X_BS);
+  if (is_free(body)) {
+    place_free_body(body, X_WB);
+  } else {
+    place_body(body, inverse(body_pose(model_->body_parentid[body])) * X_WB);
+  }
 }
 
 Pose Simulation::hand_to_tool() const noexcept {

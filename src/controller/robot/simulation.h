@@ -36,8 +36,8 @@ class Simulation {
   /// exactly, as the real robot does.
   void step(const JointVector& tau, const Eigen::Vector2d& finger_force) noexcept;
 
-  /// Puts the arm at q and the fingers `gripper_width` (m) apart, all of it at rest, and forgets
-  /// the forces of the last step.
+  /// Puts the arm at q and the fingers `gripper_width` (m) apart, every other joint where the scene
+  /// has it, all of it at rest, and forgets the forces of the last step.
   void set_arm(const JointVector& q, double gripper_width) noexcept;
 
   JointVector q() const noexcept { return JointVector::Map(data_->qpos + arm_q_); }
@@ -75,6 +75,17 @@ class Simulation {
   /// held object `hand`). Poses and contacts follow at the next forward() or set_arm().
   void place_body(int body, const Pose& X_PB) noexcept;
   Pose placed_body(int body) const noexcept;  ///< X_PB
+
+  /// Puts a body with a free joint at X_WB, at rest. Poses and contacts follow at the next
+  /// forward(); set_arm() takes it back to where the scene has it.
+  void place_free_body(int body, const Pose& X_WB) noexcept;
+  bool is_free(int body) const noexcept;  ///< has a free joint
+  bool is_on_hand(int body) const noexcept {
+    return on_hand_[body];
+  }  ///< hand, finger or fixed to it
+
+  /// Moves the body of a site so that the site is at X_WS: a free body, or one without a joint.
+  void place_site(int site, const Pose& X_WS) noexcept;
 
   /// Pose of E in the frame of `hand`: place the held object at hand_to_tool() * X_EO.
   Pose hand_to_tool() const noexcept;

@@ -1,33 +1,38 @@
 #include "controller/task/observation.h"
 
 #include <algorithm>
+#include <iterator>
 
 #include "base/random.h"
+#include "controller/task/task.h"
 
 namespace tandem {
 namespace {
 
 // Groups of six (translation x y z, rotation x y z) in the order in which write() fills its table.
-constexpr const char* kGroups[] = {"tool_", "twist_", "lead_", "wrench", "goal_", "goal_fine_"};
+constexpr const char* kGroups[] = {"tool_", "twist_",     "lead_",   "wrench",
+                                   "goal_", "goal_fine_", "object_", "object_fine_"};
+constexpr int kGroupCount = std::size(kGroups);
 constexpr const char* kAxes[] = {"x", "y", "z", "rx", "ry", "rz"};
 constexpr const char* kWrench[] = {"force_x",  "force_y",  "force_z",
                                    "moment_x", "moment_y", "moment_z"};
 
 std::vector<std::string> all_terms() {
   std::vector<std::string> names;
-  for (int group = 0; group < 6; ++group) {
+  for (int group = 0; group < kGroupCount; ++group) {
     for (int axis = 0; axis < 6; ++axis) {
       names.push_back(group == 3 ? kWrench[axis] : std::string(kGroups[group]) + kAxes[axis]);
     }
   }
   names.push_back("gripper");
+  names.push_back("gripper_commanded");
   return names;
 }
 
 }  // namespace
 
-Observation::Observation(Section& task, const Pose& X_W_origin, const Pose& X_EO_nominal)
-    : X_W_origin_(X_W_origin), X_EO_nominal_(X_EO_nominal) {
+Observation::Observation(Section& task, const TaskSpec& spec)
+    : X_W_origin_(spec.X_W_origin), X_HO_(spec.X_HO), object_is_free_(spec.grasp_width > 0.0) {
   names_ = task.texts("observation");
   if (names_.empty() || names_.size() > kMaxObservation) {
     throw ScenarioError(task.place("observation") + " has " + std::to_string(names_.size()) +
@@ -53,29 +58,37 @@ Observation::Observation(Section& task, const Pose& X_W_origin, const Pose& X_EO
 }
 
 void Observation::write(const StepSnapshot& s, float* out) const noexcept {
-  // Goal estimate: one bias for the episode, one jitter for the step.
+  // An estimate: one bias for the episode, one jitter for the step; the goal's are drawn first.
   Random bias = random_for(s.episode_seed, Purpose::observation, ~0ull);
   Random jitter = random_for(s.episode_seed, Purpose::observation, static_cast<uint64_t>(s.step));
-  Twist error;
-  for (int i = 0; i < 3; ++i) error[i] = bias.normal(bias_m_) + jitter.normal(jitter_m_);
-  for (int i = 3; i < 6; ++i) error[i] = bias.normal(bias_rad_) + jitter.normal(jitter_rad_);
-  const Pose goal = add(s.truth.X_WG, error);
+  const auto estimate = [&](const Pose& truth) {
+    Twist error;
+    for (int i = 0; i < 3; ++i) error[i] = bias.normal(bias_m_) + jitter.normal(jitter_m_);
+    for (int i = 3; i < 6; ++i) error[i] = bias.normal(bias_rad_) + jitter.normal(jitter_rad_);
+    return add(truth, error);
+  };
+  const Pose X_WG = estimate(s.truth.X_WG);
+  const Pose X_WH = object_is_free_ ? estimate(s.truth.X_WH) : s.X_WE;
 
   // The goal's z points out of it, the object's z into it: compare after turning the goal about its
   // x axis.
-  const Pose turned{goal.p, goal.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0)};
-  const Twist relative = minus(turned, s.X_WE * X_EO_nominal_);
+  const Pose turned{X_WG.p, X_WG.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0)};
+  const Twist goal = minus(turned, X_WH * X_HO_), object = minus(X_WH, s.X_WE);
 
-  double table[37];
+  double table[6 * kGroupCount + 2];
   Eigen::Map<Twist>(table + 0) = minus(s.X_WE, X_W_origin_);
   Eigen::Map<Twist>(table + 6) = s.V_WE;
   Eigen::Map<Twist>(table + 12) = minus(s.X_WE_commanded, s.X_WE);
   Eigen::Map<Wrench>(table + 18) = s.F_ext_W;
-  Eigen::Map<Twist>(table + 24) = relative;
+  Eigen::Map<Twist>(table + 24) = goal;
+  Eigen::Map<Twist>(table + 36) = object;
   for (int i = 0; i < 6; ++i) {
-    table[30 + i] = std::clamp(relative[i] / (i < 3 ? fine_m_ : fine_rad_), -1.0, 1.0);
+    const double range = i < 3 ? fine_m_ : fine_rad_;
+    table[30 + i] = std::clamp(goal[i] / range, -1.0, 1.0);
+    table[42 + i] = std::clamp(object[i] / range, -1.0, 1.0);
   }
-  table[36] = s.gripper_width;
+  table[48] = s.gripper_width;
+  table[49] = s.gripper_commanded;
   for (int i = 0; i < size(); ++i) out[i] = static_cast<float>(table[terms_[i]]);
 }
 

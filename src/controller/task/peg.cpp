@@ -7,30 +7,10 @@
 namespace tandem {
 namespace {
 
-constexpr double kPi = 3.141592653589793;
 constexpr double kTipDistance = 0.06;  // m, tip of the peg beyond E, models/peg/tool.xml
-
-Pose yawed_down(const Eigen::Vector3d& p) {
-  return {p, Eigen::Quaterniond(Eigen::AngleAxisd(kPi, Eigen::Vector3d::UnitX()))};
-}
+constexpr double kHoleDepth = 0.03;    // m, models/peg/scene.xml
 
 }  // namespace
-
-PegTask::Spread PegTask::read_spread(Section section) {
-  const Spread spread{section.number("xy_m", 0.0, 0.2), section.number("z_m", 0.0, 0.1),
-                      section.number("yaw_deg", 0.0, 45.0) * kPi / 180.0};
-  section.finish();
-  return spread;
-}
-
-Twist PegTask::Spread::draw(Random& random) const {
-  Twist d = Twist::Zero();
-  d[0] = random.uniform(-xy_m, xy_m);
-  d[1] = random.uniform(-xy_m, xy_m);
-  d[2] = random.uniform(-z_m, z_m);
-  d[5] = random.uniform(-yaw_rad, yaw_rad);
-  return d;
-}
 
 PegTask::PegTask(Section& section) : Task(section) {
   const std::string difficulty = section.choice("difficulty", {"normal", "hard"});
@@ -48,20 +28,22 @@ PegTask::PegTask(Section& section) : Task(section) {
   hole_ = read_spread(reset.section("hole"));
   start_ = read_spread(reset.section("start"));
   in_hand_ = read_spread(reset.section("in_hand"));
-  tilt_rad_ = reset.number("in_hand_tilt_deg", 0.0, 10.0) * kPi / 180.0;
+  tilt_rad_ = reset.number("in_hand_tilt_deg", 0.0, 10.0) * M_PI / 180.0;
   reset.finish();
 
   X_WG_nominal_.p << center[0], center[1], center[2];
-  X_EO_nominal_.p << 0.0, 0.0, kTipDistance;
-  spec_.X_W_origin = yawed_down(X_WG_nominal_.p + Eigen::Vector3d(0.0, 0.0, height + kTipDistance));
-  observation_ = std::make_unique<Observation>(section, spec_.X_W_origin, X_EO_nominal_);
+  spec_.X_HO.p << 0.0, 0.0, kTipDistance;
+  spec_.goal_depth = kHoleDepth;
+  spec_.X_W_origin =
+      pointing_down(X_WG_nominal_.p + Eigen::Vector3d(0.0, 0.0, height + kTipDistance));
+  observation_ = std::make_unique<Observation>(section, spec_);
 }
 
 void PegTask::attach(Simulation& simulation) {
   peg_body_ = simulation.body("peg");
   hole_body_ = simulation.body("hole");
-  tip_site_ = simulation.site("peg_tip");
-  rim_site_ = simulation.site("hole_rim");
+  tip_site_ = simulation.site("object");
+  rim_site_ = simulation.site("goal");
   set_hole_clearance(simulation, clearance_m_);
 }
 
@@ -78,16 +60,14 @@ void PegTask::reset(MujocoRobot& robot, ArmModel& arm, uint64_t episode_seed) {
   error[4] = random.uniform(-tilt_rad_, tilt_rad_);
   simulation.place_body(peg_body_, simulation.hand_to_tool() * add(Pose{}, error));
 
-  JointVector home;
-  home << 0.0, -kPi / 4, 0.0, -3 * kPi / 4, 0.0, kPi / 2, kPi / 4;
-  robot.place(arm.solve_ik(add(spec_.X_W_origin, start_.draw(random)), home), gripper_width_m_);
+  place_arm(robot, arm, add(spec_.X_W_origin, start_.draw(random)), gripper_width_m_);
 }
 
 SceneTruth PegTask::truth(const Simulation& simulation) const noexcept {
-  return {simulation.site_pose(tip_site_), simulation.site_pose(rim_site_)};
+  return {simulation.site_pose(tip_site_), simulation.site_pose(rim_site_), simulation.tool_pose()};
 }
 
-bool PegTask::succeeded(const SceneTruth& truth) const noexcept {
+bool PegTask::succeeded(const SceneTruth& truth, const Simulation&) noexcept {
   const Pose X_GO = inverse(truth.X_WG) * truth.X_WO;
   const double side = clearance_m_ + 0.001;
   return -X_GO.p.z() >= success_depth_m_ && std::abs(X_GO.p.x()) <= side &&

@@ -1,6 +1,6 @@
 #pragma once
 
-#include "base/random.h"
+#include "controller/task/reset.h"
 #include "controller/task/task.h"
 
 namespace tandem {
@@ -16,19 +16,11 @@ class PegTask final : public Task {
   void attach(Simulation& simulation) override;
   void reset(MujocoRobot& robot, ArmModel& arm, uint64_t episode_seed) override;
   SceneTruth truth(const Simulation& simulation) const noexcept override;
-  bool succeeded(const SceneTruth& truth) const noexcept override;
+  bool succeeded(const SceneTruth& truth, const Simulation& simulation) noexcept override;
 
  private:
-  /// Half-widths of uniform distributions.
-  struct Spread {
-    double xy_m, z_m, yaw_rad;
-    Twist draw(Random& random) const;
-  };
-  static Spread read_spread(Section section);
-
   double clearance_m_, success_depth_m_, gripper_width_m_, tilt_rad_;
   Pose X_WG_nominal_;  // the hole when nothing is random
-  Pose X_EO_nominal_;  // the tip of a peg that is grasped perfectly
   Spread hole_, start_, in_hand_;
   int peg_body_ = -1, hole_body_ = -1, tip_site_ = -1, rim_site_ = -1;
 };

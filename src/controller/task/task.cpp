@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "controller/task/peg.h"
+#include "controller/task/square.h"
 
 namespace tandem {
 
@@ -46,8 +47,13 @@ Task::Task(Section& section) {
 }
 
 std::unique_ptr<Task> make_task(Section section) {
-  const std::string name = section.choice("name", {"peg"});
-  auto task = std::make_unique<PegTask>(section);
+  const std::string name = section.choice("name", {"peg", "square", "square-robosuite"});
+  std::unique_ptr<Task> task;
+  if (name == "peg") {
+    task = std::make_unique<PegTask>(section);
+  } else {
+    task = std::make_unique<SquareTask>(section);
+  }
   section.finish();
   return task;
 }

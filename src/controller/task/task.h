@@ -23,8 +23,13 @@ struct TaskSpec {
   Twist action_limit =
       Twist::Zero();  ///< m, rad per policy step at |action| = 1; 0 for masked axes
   Eigen::Vector3d workspace_low,
-      workspace_high;  ///< m, box that the commanded tool position stays in
-  Pose X_W_origin;     ///< where the tool starts when nothing is random
+      workspace_high;          ///< m, box that the commanded tool position stays in
+  Pose X_W_origin;             ///< where the tool starts when nothing is random
+  Pose X_HO;                   ///< the object in the grasp's frame, as designed
+  double goal_depth = 0.0;     ///< m, how far the object goes into the goal
+  double grasp_width = 0.0;    ///< m between the finger tips that hold it; 0 = fixed to the hand
+  bool release = false;        ///< success asks for an empty hand
+  double gripper_start = 1.0;  ///< gripper action that an episode begins with: -1 open, 1 closed
 };
 
 /// A task: scene, reset distribution, success test. Adding one touches models/ and one file here.
@@ -46,8 +51,9 @@ class Task {
   /// Where the object and the goal are now. Real-time.
   virtual SceneTruth truth(const Simulation& simulation) const noexcept = 0;
 
-  /// Whether the scene shows success. Real-time.
-  virtual bool succeeded(const SceneTruth& truth) const noexcept = 0;
+  /// Whether the scene shows success; asked once at the end of each policy step, so that a task may
+  /// ask for it to last. Real-time.
+  virtual bool succeeded(const SceneTruth& truth, const Simulation& simulation) noexcept = 0;
 
  protected:
   explicit Task(Section& section);

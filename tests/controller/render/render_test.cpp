@@ -109,7 +109,8 @@ TEST(Recording, KeepsTheLastCompleteEpisodesAndIgnoresACutOffTail) {
   ASSERT_EQ(recording.episodes.size(), 2u);
   EXPECT_EQ(recording.episodes[0].number, 1);
   EXPECT_EQ(recording.episodes[1].number, 2);
-  EXPECT_LT((recording.episodes[1].X_EO.p - Eigen::Vector3d(0.001, 0, 0.06)).norm(), 1e-12);
+  EXPECT_LT((recording.episodes[1].objects.front().X_EO.p - Eigen::Vector3d(0.001, 0, 0.06)).norm(),
+            1e-12);
 }
 
 TEST(Recording, MomentsLieBetweenTheRecordedOnes) {
@@ -147,6 +148,10 @@ class SceneViewTest : public ::testing::Test {
     return cv::norm(a, b, cv::NORM_L1) / static_cast<double>(a.total());
   }
 
+  cv::Mat draw(SceneView& view, double tick) const {
+    return view.draw(episode_.at(tick), episode_.object_at(tick));
+  }
+
   const Recording recording_ = read_recording(log_of("view.lcm", 1, false), 1);
   const RecordedEpisode& episode_ = recording_.episodes.front();
 };
@@ -154,9 +159,9 @@ class SceneViewTest : public ::testing::Test {
 TEST_F(SceneViewTest, ArmMovesInThePictureAndThePegIsOrange) {
   SceneView view(kPegScene, {}, 320, 160);
   view.begin(episode_);
-  const cv::Mat before = view.draw(episode_.at(0)), after = view.draw(episode_.at(300));
+  const cv::Mat before = draw(view, 0), after = draw(view, 300);
   EXPECT_GT(difference(before, after), 1.0);
-  EXPECT_EQ(difference(before, view.draw(episode_.at(0))), 0.0);
+  EXPECT_EQ(difference(before, draw(view, 0)), 0.0);
   int orange = 0;
   for (int y = 0; y < before.rows; ++y) {
     for (int x = 0; x < before.cols; ++x) {
@@ -165,7 +170,7 @@ TEST_F(SceneViewTest, ArmMovesInThePictureAndThePegIsOrange) {
     }
   }
   EXPECT_GT(orange, 15);
-  const Pose tip = view.simulation().site_pose(view.simulation().site("peg_tip"));
+  const Pose tip = view.simulation().site_pose(view.simulation().site("object"));
   EXPECT_LT((view.simulation().tool_pose().p +
              view.simulation().tool_pose().R * Eigen::Vector3d(0.001, 0, 0.06) - tip.p)
                 .norm(),
@@ -175,7 +180,7 @@ TEST_F(SceneViewTest, ArmMovesInThePictureAndThePegIsOrange) {
 TEST_F(SceneViewTest, OverlayTellsWhoDrives) {
   SceneView view(kPegScene, {}, 320, 160);
   view.begin(episode_);
-  cv::Mat machine = view.draw(episode_.at(0)), human = machine.clone();
+  cv::Mat machine = draw(view, 0), human = machine.clone();
   Moment taken = episode_.at(0);
   draw_overlay(machine, episode_, taken, false);
   taken.alpha = 1.0;
@@ -188,7 +193,7 @@ TEST_F(SceneViewTest, VideoIsWritten) {
   SceneView view(kPegScene, {}, 320, 160);
   view.begin(episode_);
   Video video(path, 320, 160, 20);
-  for (int i = 0; i < 5; ++i) video.write(view.draw(episode_.at(60.0 * i)));
+  for (int i = 0; i < 5; ++i) video.write(draw(view, 60.0 * i));
   video.close();
   EXPECT_GT(std::filesystem::file_size(path), 1000u);
   EXPECT_THROW(Video("/no/such/folder/view.mp4", 320, 160, 20), std::runtime_error);

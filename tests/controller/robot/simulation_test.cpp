@@ -48,7 +48,7 @@ TEST(Simulation, ContactWrenchAndExternalTorqueTellTheSameForce) {
   Simulation simulation(kPegScene);
   ArmModel arm(kUrdf);
   ArmState before;
-  const Pose rim = simulation.site_pose(simulation.site("hole_rim"));
+  const Pose rim = simulation.site_pose(simulation.site("goal"));
   simulation.set_arm(arm.solve_ik(tool_over(rim.p + Eigen::Vector3d(0.006, 0.004, 0.0005)), home()),
                      kPegWidth);
   double largest = 0;
@@ -68,7 +68,7 @@ TEST(Simulation, PegSinksLessThanFiveHundredthsOfAMillimetreAtTwentyNewton) {
   Simulation simulation(kPegScene);
   ArmModel arm(kUrdf);
   ArmState state;
-  const Pose rim = simulation.site_pose(simulation.site("hole_rim"));
+  const Pose rim = simulation.site_pose(simulation.site("goal"));
   const JointVector q = arm.solve_ik(tool_over(rim.p + Eigen::Vector3d(0.02, 0.0, 0.0)), home());
   simulation.set_arm(q, kPegWidth);
   for (int i = 0; i < 1500; ++i) {
@@ -81,7 +81,7 @@ TEST(Simulation, PegSinksLessThanFiveHundredthsOfAMillimetreAtTwentyNewton) {
                     Eigen::Vector2d::Zero());
   }
   EXPECT_NEAR(simulation.contact_wrench()[2], 20.0, 0.1);
-  const double tip = simulation.site_pose(simulation.site("peg_tip")).p.z();
+  const double tip = simulation.site_pose(simulation.site("object")).p.z();
   EXPECT_LT(rim.p.z() - tip, 5e-5);
   EXPECT_GT(rim.p.z() - tip, 0.0);
 }
@@ -89,7 +89,7 @@ TEST(Simulation, PegSinksLessThanFiveHundredthsOfAMillimetreAtTwentyNewton) {
 TEST(Simulation, ResetAfterContactRepeatsTheSameMotionBitForBit) {
   Simulation simulation(kPegScene);
   ArmModel arm(kUrdf);
-  const Pose rim = simulation.site_pose(simulation.site("hole_rim"));
+  const Pose rim = simulation.site_pose(simulation.site("goal"));
   const JointVector start =
       arm.solve_ik(tool_over(rim.p + Eigen::Vector3d(0.004, 0.002, 0.002)), home());
   const auto run = [&] {
@@ -117,7 +117,7 @@ TEST(Simulation, MovedHeldObjectAndFixtureAreWhereTheyWerePut) {
   EXPECT_LT(
       minus(simulation.tool_pose() * X_EO, simulation.body_pose(simulation.body("peg"))).norm(),
       1e-12);
-  EXPECT_LT(minus(X_WG, simulation.site_pose(simulation.site("hole_rim"))).norm(), 1e-12);
+  EXPECT_LT(minus(X_WG, simulation.site_pose(simulation.site("goal"))).norm(), 1e-12);
 }
 
 TEST(Simulation, HeldLoadIsThePegAndNothingElse) {
@@ -132,7 +132,7 @@ TEST(Simulation, HeldLoadIsThePegAndNothingElse) {
 TEST(Simulation, StepAllocatesNothing) {
   Simulation simulation(kPegScene);
   ArmModel arm(kUrdf);
-  const Pose rim = simulation.site_pose(simulation.site("hole_rim"));
+  const Pose rim = simulation.site_pose(simulation.site("goal"));
   simulation.set_arm(arm.solve_ik(tool_over(rim.p + Eigen::Vector3d(0.002, 0, -0.0001)), home()),
                      kPegWidth);
   ASSERT_GT(simulation.data()->ncon, 0);
@@ -145,8 +145,8 @@ TEST(Simulation, StepAllocatesNothing) {
 
 TEST(Simulation, ErrorsAreSentencesThatNameFileAndRemedy) {
   Simulation simulation(kArmScene);
-  EXPECT_EQ(message_of([&] { simulation.site("peg_tip"); }),
-            kArmScene + ": the scene has no site named `peg_tip`; it has: tool, nothing_held.");
+  EXPECT_EQ(message_of([&] { simulation.site("object"); }),
+            kArmScene + ": the scene has no site named `object`; it has: tool, nothing_held.");
   EXPECT_NE(message_of([] { Simulation missing("no/such/scene.xml"); }).find("no/such/scene.xml"),
             std::string::npos);
 }
@@ -165,7 +165,7 @@ TEST(Hole, HelperAndSceneFileAgreeOnTheDefaultClearance) {
 
 // Contacts when the peg's tip is at p_GT, straight.
 int contacts(Simulation& simulation, ArmModel& arm, const Eigen::Vector3d& p_GT) {
-  const Pose rim = simulation.site_pose(simulation.site("hole_rim"));
+  const Pose rim = simulation.site_pose(simulation.site("goal"));
   simulation.set_arm(arm.solve_ik(tool_over(rim.p + p_GT), home()), kPegWidth);
   return simulation.data()->ncon;
 }

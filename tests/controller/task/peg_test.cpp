@@ -31,7 +31,7 @@ TEST(PegTask, ResetsStayWithinTheirDistribution) {
     const Eigen::Vector3d d = truth.X_WG.p - Eigen::Vector3d(0.5, 0.0, 0.04);
     ASSERT_LE(d.head<2>().cwiseAbs().maxCoeff(), 0.040 + 1e-9);
     ASSERT_LE(std::abs(log_map(truth.X_WG.R).z()), 15.0 * M_PI / 180 + 1e-9);
-    ASSERT_FALSE(rig.task->succeeded(truth));
+    ASSERT_FALSE(rig.task->succeeded(truth, rig.simulation));
     widest = std::max(widest, d.head<2>().cwiseAbs().maxCoeff());
   }
   EXPECT_GT(widest, 0.03);
@@ -42,11 +42,11 @@ TEST(PegTask, SuccessNeedsDepthInsideTheHole) {
   rig.begin(1);
   SceneTruth truth = rig.task->truth(rig.simulation);
   truth.X_WO = truth.X_WG * Pose{{0.0, 0.0, -0.026}, Eigen::Quaterniond::Identity()};
-  EXPECT_TRUE(rig.task->succeeded(truth));
+  EXPECT_TRUE(rig.task->succeeded(truth, rig.simulation));
   truth.X_WO = truth.X_WG * Pose{{0.0, 0.0, -0.020}, Eigen::Quaterniond::Identity()};
-  EXPECT_FALSE(rig.task->succeeded(truth));
+  EXPECT_FALSE(rig.task->succeeded(truth, rig.simulation));
   truth.X_WO = truth.X_WG * Pose{{0.01, 0.0, -0.026}, Eigen::Quaterniond::Identity()};
-  EXPECT_FALSE(rig.task->succeeded(truth));
+  EXPECT_FALSE(rig.task->succeeded(truth, rig.simulation));
 }
 
 TEST(Observation, HidesTheInHandErrorAndRepeatsItself) {
