@@ -18,7 +18,7 @@ struct MujocoRobotOptions {
 
   double gripper_speed = 0.1;   ///< m/s, of the width, (0, 1]
   double gripper_force = 40.0;  ///< N, largest force of each finger, (0, 140]
-  int gripper_latency_ms = 50;  ///< from grip() until the fingers follow, 0 to 500
+  int gripper_latency_ms = 200; ///< from grip() until the fingers follow, 0 to 500
 
   Injection inject;  ///< nothing by default
 };

@@ -32,7 +32,10 @@ std::vector<std::string> all_terms() {
 }  // namespace
 
 Observation::Observation(Section& task, const TaskSpec& spec)
-    : X_W_origin_(spec.X_W_origin), X_HO_(spec.X_HO), object_is_free_(spec.grasp_width > 0.0) {
+    : X_W_origin_(spec.X_W_origin),
+      X_HO_(spec.X_HO),
+      X_OH_(inverse(spec.X_HO)),
+      object_is_free_(spec.grasp_width > 0.0) {
   names_ = task.texts("observation");
   if (names_.empty() || names_.size() > kMaxObservation) {
     throw ScenarioError(task.place("observation") + " has " + std::to_string(names_.size()) +
@@ -68,12 +71,12 @@ void Observation::write(const StepSnapshot& s, float* out) const noexcept {
     return add(truth, error);
   };
   const Pose X_WG = estimate(s.truth.X_WG);
-  const Pose X_WH = object_is_free_ ? estimate(s.truth.X_WH) : s.X_WE;
+  const Pose X_WO = object_is_free_ ? estimate(s.truth.X_WO) : s.X_WE * X_HO_;
 
   // The goal's z points out of it, the object's z into it: compare after turning the goal about its
   // x axis.
   const Pose turned{X_WG.p, X_WG.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0)};
-  const Twist goal = minus(turned, X_WH * X_HO_), object = minus(X_WH, s.X_WE);
+  const Twist goal = minus(turned, X_WO), object = minus(X_WO * X_OH_, s.X_WE);
 
   double table[6 * kGroupCount + 2];
   Eigen::Map<Twist>(table + 0) = minus(s.X_WE, X_W_origin_);

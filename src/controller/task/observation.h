@@ -26,8 +26,9 @@ inline constexpr int kMaxObservation = 64;
 ///   gripper                  distance between the finger tips, m
 ///   gripper_commanded        the width that the gripper was told last, m
 /// All in base axes. An estimate is the truth plus a bias drawn once per episode and a jitter drawn
-/// every step, for the goal and for an object that lies about. An object that is fixed to the hand
-/// is where a perfect grasp would have it, so the in-hand error stays hidden, as on a real arm.
+/// every step, for the goal and for an object that lies about; the grasp follows from the object's.
+/// An object that is fixed to the hand is where a perfect grasp would have it, so the in-hand error
+/// stays hidden, as on a real arm.
 class Observation {
  public:
   /// Reads `observation` (names) and `observation_noise` of the task section. @throws ScenarioError
@@ -42,7 +43,7 @@ class Observation {
  private:
   std::vector<std::string> names_;
   std::vector<int> terms_;  // index into the table of all terms
-  Pose X_W_origin_, X_HO_;
+  Pose X_W_origin_, X_HO_, X_OH_;
   bool object_is_free_;
   double bias_m_ = 0, bias_rad_ = 0, jitter_m_ = 0, jitter_rad_ = 0, fine_m_ = 0, fine_rad_ = 0;
 };

@@ -89,7 +89,7 @@ TEST_F(RobotOptionsTest, CollisionThresholdBelowItsContactThresholdIsRefused) {
 }
 
 TEST_F(RobotOptionsTest, ValueOutOfRangeAndUnknownKeyAreRefused) {
-  EXPECT_NE(refusal("latency_ms: 50", "latency_ms: 501")
+  EXPECT_NE(refusal("latency_ms: 200", "latency_ms: 501")
                 .find("robot.gripper.latency_ms is 501; it must be in [0, 500]"),
             std::string::npos);
   EXPECT_NE(refusal("user_stop: 0", "user_stop: 2").find("it must be in [0, 1]"),
