@@ -179,3 +179,28 @@ def test_an_error_in_a_methods_own_line_points_to_it(config: Path) -> None:
     kind = next(i for i, line in enumerate(scenario.dumps().splitlines(), 1) if "kind: flow" in line)
     text = f"/tmp/x/scenario.yaml:{kind}: method.learner.head.kind is 'flow'; it must be mlp."
     assert scenario.explain(text).startswith("config/methods/tandem.yaml:3: method.learner.head.kind")
+
+
+def with_defaults(config: Path, lines: str) -> None:
+    file = config / "tasks" / "peg.yaml"
+    file.write_text(file.read_text() + "defaults:\n" + lines)
+
+
+def test_a_task_may_ask_for_other_values_of_run_and_method(config: Path) -> None:
+    with_defaults(config, "  run: {env_steps: 77}\n  method: {learner: {batch: 12}}\n")
+    scenario = composed(config)
+    assert scenario.run["env_steps"] == 77
+    assert scenario.data["method"]["learner"]["batch"] == 12
+    assert str(scenario.origins["method.learner.batch"]).startswith("config/tasks/peg.yaml:")
+    assert "defaults" not in scenario.data["task"]
+    assert composed(config, "run.env_steps=5").run["env_steps"] == 5
+
+
+def test_defaults_of_a_task_stay_with_keys_that_exist(config: Path) -> None:
+    with_defaults(config, "  method: {batsh: 12}\n")
+    assert "there is no key method.batsh" in refusal(config)
+
+
+def test_defaults_of_a_task_are_of_run_and_method_alone(config: Path) -> None:
+    with_defaults(config, "  controller: {clip: 1}\n")
+    assert "defaults of a task must be a mapping with the keys run and method" in refusal(config)

@@ -54,6 +54,7 @@ std::unique_ptr<Task> make_task(Section section) {
   } else {
     task = std::make_unique<SquareTask>(section);
   }
+  section.leave("defaults");  // of the run and the method: applied when the scenario is composed
   section.finish();
   return task;
 }

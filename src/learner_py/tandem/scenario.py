@@ -1,9 +1,9 @@
 """Scenarios: one YAML file that reproduces a run.
 
 `compose` joins config/run.yaml (key `run`), config/tasks/TASK.yaml (`task`), config/controller.yaml
-(`controller`), config/operator.yaml (`operator`) and config/method.yaml with what config/methods/METHOD.yaml
-changes in it (`method`), applies `--set a.b=c` and remembers for each dotted key where its value came from,
-so that an error of any program points to the line that a person wrote.
+(`controller`), config/operator.yaml (`operator`) and config/method.yaml (`method`), lays over them what the
+task's `defaults` and then config/methods/METHOD.yaml change, applies `--set a.b=c` and remembers for each
+dotted key where its value came from, so that an error of any program points to the line that a person wrote.
 """
 
 import contextlib
@@ -197,7 +197,8 @@ def compose(
         scenario.data[section] = body
         scenario.origins[section] = Origin(_display(file, config), 1)
         scenario.origins.update({f"{section}.{key}": origin for key, origin in origins.items()})
-    _change_method(scenario, config, method)
+    _change_by_task(scenario)
+    _change_by_method(scenario, config, method)
     _check_run_keys(scenario)
     for key, value in {"task": task, "method": method, **run}.items():
         if value is not None:
@@ -209,24 +210,46 @@ def compose(
     return scenario
 
 
-def _change_method(scenario: Scenario, config: Path, method: str) -> None:
-    """Lays config/methods/METHOD.yaml over what all methods share. Only `name` may be new."""
+def _change_by_task(scenario: Scenario) -> None:
+    """Takes `defaults` out of the task's section and lays it over run.yaml and method.yaml."""
+    defaults = scenario.data["task"].pop("defaults", {})
+    place = scenario.origins.get("task.defaults")
+    if not isinstance(defaults, dict) or not set(defaults) <= {"run", "method"}:
+        raise ScenarioError(f"{place}: defaults of a task must be a mapping with the keys run and method.")
+    origins = {key: origin for key, origin in scenario.origins.items() if key.startswith("task.defaults")}
+    for key in origins:
+        del scenario.origins[key]
+    for section, changes in defaults.items():
+        prefix = f"task.defaults.{section}."
+        own = {key.removeprefix(prefix): origins[key] for key in origins if key.startswith(prefix)}
+        _lay_over(scenario, section, changes, own)
+
+
+def _change_by_method(scenario: Scenario, config: Path, method: str) -> None:
+    """Lays config/methods/METHOD.yaml over what all methods share."""
     file = choose(config / "methods", method, "method")
     changes, origins = read_yaml(file, _display(file, config))
-    for key, value in {"name": None, **dict(_leaves(changes, ""))}.items():
-        place = origins.get(key, Origin(_display(file, config), 1))
-        *parents, name = f"method.{key}".split(".")
+    if changes.get("name") is None:
+        raise ScenarioError(f"{_display(file, config)}: name is missing; it must be {method}.")
+    scenario.data["method"].setdefault("name", None)
+    _lay_over(scenario, "method", changes, origins)
+
+
+def _lay_over(scenario: Scenario, section: str, changes: dict[str, Any], origins: dict[str, Origin]) -> None:
+    """Replaces values of a section; refuses keys that it does not have."""
+    for key, value in _leaves(changes, ""):
+        *parents, name = f"{section}.{key}".split(".")
         node: Any = scenario.data
         for part in parents:
             node = node.get(part) if isinstance(node, dict) else None
-        if key == "name" and value is None:
-            raise ScenarioError(f"{place.file}: name is missing; it must be {method}.")
-        if key != "name" and (not isinstance(node, dict) or name not in node):
-            nearest = _nearest(f"method.{key}", [k for k in scenario.origins if k.startswith("method.")])
+        if not isinstance(node, dict) or name not in node:
+            nearest = _nearest(
+                f"{section}.{key}", [k for k in scenario.origins if k.startswith(f"{section}.")]
+            )
             hint = f"; the nearest is {nearest}" if nearest else ""
-            raise ScenarioError(f"{place}: there is no key method.{key}{hint}.")
+            raise ScenarioError(f"{origins[key]}: there is no key {section}.{key}{hint}.")
         node[name] = value
-    scenario.origins.update({f"method.{key}": origin for key, origin in origins.items()})
+    scenario.origins.update({f"{section}.{key}": origin for key, origin in origins.items()})
 
 
 def load(path: Path) -> Scenario:
