@@ -17,7 +17,7 @@ import os
 import select
 import time
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import lcm
 from tandem_lcm.tandem.action_chunk_t import action_chunk_t
@@ -65,6 +65,20 @@ CHANNELS: dict[str, type] = {
 CHANNEL_OF: dict[type, str] = {message_type: channel for channel, message_type in CHANNELS.items()}
 
 Message = TypeVar("Message")
+
+
+class Member(NamedTuple):
+    """One member of a message type, as its .lcm file declares it."""
+
+    name: str
+    kind: str  # double, string ...; another message type with its package
+    dimensions: tuple[int | str, ...]  # a text names the member that tells the length; empty: no array
+
+
+def members(message_type: Any) -> list[Member]:
+    """All of them, in the order of the bytes."""
+    facts = (message_type.__slots__, message_type.__typenames__, message_type.__dimensions__)
+    return [Member(name, kind, tuple(sizes or ())) for name, kind, sizes in zip(*facts, strict=True)]
 
 
 def utime() -> int:

@@ -14,8 +14,9 @@ from mcap.writer import CompressionType, Writer
 from pydantic_core import to_json
 
 from tandem import __version__
-from tandem.export.message import as_json, json_schema
+from tandem.export.message import json_schema
 from tandem.export.source import Source, whole_or_not_at_all
+from tandem.log.fields import as_json
 from tandem.wire import CHANNELS
 
 BASE_FRAME = "base"

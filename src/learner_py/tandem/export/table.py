@@ -5,7 +5,6 @@ Without a channel: one row a policy step, with the facts of its episode beside i
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +13,12 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from tandem.export.message import JSON_TYPES, as_dict
+from tandem.export.message import JSON_TYPES
 from tandem.export.source import Source, whole_or_not_at_all
 from tandem.learner.episode import ACTION_AXES, Episode
+from tandem.log.fields import as_json
 from tandem.run_folder import RunFolderError
-from tandem.wire import CHANNELS
+from tandem.wire import CHANNELS, members
 
 
 def write(source: Source, path: Path, kind: str, channel: str = "") -> dict[str, int]:
@@ -85,17 +85,15 @@ def channel_table(source: Source, channel: str) -> pa.Table:
     if not rows:
         raise RunFolderError(f"{source.log} holds no {channel} of these episodes.")
     table: dict[str, Any] = {"log_time_us": [timestamp for timestamp, _ in rows]}
-    message_type: Any = CHANNELS[channel]
-    for name, kind, dimensions in zip(
-        message_type.__slots__, message_type.__typenames__, message_type.__dimensions__, strict=True
-    ):
+    for name, kind, dimensions in members(CHANNELS[channel]):
         values = [getattr(message, name) for _, message in rows]
-        if dimensions is None and kind in JSON_TYPES:
+        shape = [size for size in dimensions if isinstance(size, int)]
+        if kind in JSON_TYPES and not dimensions:
             table[name] = values
-        elif dimensions and all(isinstance(size, int) for size in dimensions) and kind in JSON_TYPES:
+        elif kind in JSON_TYPES and len(shape) == len(dimensions):
             spread = np.array(values).reshape(len(rows), -1)
-            for column, index in enumerate(np.ndindex(*dimensions)):
+            for column, index in enumerate(np.ndindex(*shape)):
                 table[".".join([name, *map(str, index)])] = spread[:, column]
         else:
-            table[name] = [json.dumps(value, default=as_dict) for value in values]
+            table[name] = [as_json(value).decode() for value in values]
     return pa.table(table)

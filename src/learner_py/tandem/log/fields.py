@@ -1,11 +1,17 @@
-"""Fields of messages by path: `F_ext_W[2]`, `last_records[0].alpha`."""
+"""Fields of messages: by path (`F_ext_W[2]`, `last_records[0].alpha`), as JSON, for a person."""
 
 from __future__ import annotations
 
 import difflib
-import math
 import re
+from collections.abc import Callable
+from functools import cache
+from operator import attrgetter
 from typing import Any
+
+from pydantic_core import to_json
+
+from tandem.wire import members
 
 Path = list[str | int]
 
@@ -48,25 +54,34 @@ def value_at(message: Any, path: Path) -> Any:
     return value
 
 
-def plain(value: Any) -> Any:
-    """The same in lists, dicts, numbers and texts that JSON knows; a number that is not finite becomes null."""
-    if hasattr(type(value), "__slots__") and not isinstance(value, int | float | str | bytes | list | tuple):
-        return {name: plain(getattr(value, name)) for name in value.__slots__}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, bytes):
-        return list(value)
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def as_dict(message: Any) -> dict[str, Any]:
+    """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it."""
+    message_type: Any = type(message)
+    names, read, fractions = _reader(message_type)
+    values = dict(zip(names, read(message), strict=True))
+    for name in fractions:
+        if values[name] != values[name]:
+            del values[name]
+    return values
+
+
+@cache
+def _reader(message_type: Any) -> tuple[list[str], Callable[[Any], tuple[Any, ...]], list[str]]:
+    """Names of the fields, what reads them all at once, and names of those that are one floating-point number."""
+    names = message_type.__slots__
+    fractions = [m.name for m in members(message_type) if m.kind in ("float", "double") and not m.dimensions]
+    return names, attrgetter(*names), fractions
+
+
+def as_json(value: Any) -> bytes:
+    """Of a message, or of lists and dicts with messages in them; what is not finite in these is null."""
+    return to_json(value, fallback=as_dict, inf_nan_mode="null")
 
 
 def text_of(value: Any) -> str:
     """For a person: numbers with six digits, structs as field=value."""
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}={text_of(item)}" for name, item in value.items()) + "}"
-    if isinstance(value, list):
+    if names := getattr(type(value), "__slots__", None):
+        return "{" + ", ".join(f"{name}={text_of(getattr(value, name))}" for name in names) + "}"
+    if isinstance(value, list | tuple):
         return "[" + " ".join(text_of(item) for item in value) + "]"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return "nan" if value is None else str(value)
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -17,6 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tandem.wire import members
+
 _PRIMITIVES = {
     "int8_t": ">i1",
     "boolean": ">i1",
@@ -61,6 +63,16 @@ class Layout:
         return same
 
 
+def head(message_type: Any) -> tuple[np.dtype[Any], bool]:
+    """How every message of a type begins, up to its first member of variable size; whether that is all of it."""
+    fields: list[tuple[Any, ...]] = [(FINGERPRINT, ">i8")]
+    for name, kind, dimensions in members(message_type):
+        if kind not in _PRIMITIVES or any(isinstance(size, str) for size in dimensions):
+            return np.dtype(fields), False
+        fields.append((name, _PRIMITIVES[kind], dimensions))
+    return np.dtype(fields), True
+
+
 def _record(
     message_type: Any, data: bytes, at: int, lengths: dict[str, int], outermost: bool
 ) -> np.dtype[Any]:
@@ -79,11 +91,9 @@ def _record(
         if not outermost:
             raise _NoLayoutError  # elements of an array would have to agree; nobody needs it
 
-    for name, kind, dimensions in zip(
-        message_type.__slots__, message_type.__typenames__, message_type.__dimensions__, strict=True
-    ):
+    for name, kind, dimensions in members(message_type):
         shape = []
-        for dimension in dimensions or ():
+        for dimension in dimensions:
             if isinstance(dimension, str):
                 variable()
                 lengths[dimension] = values[dimension]

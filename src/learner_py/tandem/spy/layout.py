@@ -1,26 +1,15 @@
 """What a message is, from its bytes: its type by the fingerprint, numbers at its head without decoding the rest."""
 
-import struct
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 import numpy as np
 
+from tandem.log.layout import FINGERPRINT, head
 from tandem.wire import CHANNELS
 
 FINGERPRINT_BYTES = 8
-
-_FORMAT = {
-    "int8_t": "b",
-    "int16_t": "h",
-    "int32_t": "i",
-    "int64_t": "q",
-    "float": "f",
-    "double": "d",
-    "boolean": "b",
-    "byte": "B",
-}
 
 
 @dataclass(frozen=True)
@@ -46,7 +35,7 @@ class Layout:
     """A message type, and where its leading members of fixed size lie."""
 
     message_type: Any
-    members: dict[str, tuple[int, str]]  # name -> (offset, struct format), up to the first of variable size
+    members: dict[str, tuple[int, np.dtype[Any]]]  # name -> (offset, type), up to the first of variable size
     size: int | None  # bytes of every message, None when it varies
 
     @property
@@ -59,10 +48,9 @@ class Layout:
 
     def read(self, member: str, data: list[bytes]) -> np.ndarray:
         """A leading whole number of each message, int64; the messages are long enough."""
-        offset, code = self.members[member]
-        end = offset + struct.calcsize(f">{code}")
-        joined = b"".join([item[offset:end] for item in data])
-        return np.frombuffer(joined, f">{code}").astype(np.int64)
+        offset, dtype = self.members[member]
+        joined = b"".join([item[offset : offset + dtype.itemsize] for item in data])
+        return np.frombuffer(joined, dtype).astype(np.int64)
 
     def decodes(self, data: bytes) -> bool:
         """Whether these bytes are a message of this type. Costs a decoding when its size varies."""
@@ -90,18 +78,8 @@ def _layouts() -> dict[bytes, Layout]:
 
 
 def _layout(message_type: Any) -> Layout:
-    members: dict[str, tuple[int, str]] = {}
-    offset = FINGERPRINT_BYTES
-    for name, kind, dimensions in zip(
-        message_type.__slots__, message_type.__typenames__, message_type.__dimensions__, strict=True
-    ):
-        code = _FORMAT.get(kind)
-        if code is None or any(isinstance(n, str) for n in dimensions or ()):
-            return Layout(message_type, members, None)
-        if dimensions is None:
-            members[name] = (offset, code)
-        n = 1
-        for dimension in dimensions or ():
-            n *= dimension
-        offset += n * struct.calcsize(f">{code}")
-    return Layout(message_type, members, offset)
+    dtype, whole = head(message_type)
+    fields: Any = dtype.fields or {}
+    members = {name: (offset, kind) for name, (kind, offset, *_) in fields.items() if not kind.shape}
+    del members[FINGERPRINT]
+    return Layout(message_type, members, dtype.itemsize if whole else None)

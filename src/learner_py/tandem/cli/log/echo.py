@@ -1,6 +1,5 @@
 """`tandem log echo`."""
 
-import json
 from typing import Annotated, Any
 
 import typer
@@ -28,13 +27,13 @@ def echo(
     end_s: ToOption = None,
     every: Annotated[int, typer.Option(help="Only each so-manieth message.", min=1)] = 1,
     limit: Annotated[int, typer.Option(help="At most so many messages; 0 = all.", min=0)] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
+    json_lines: Annotated[bool, typer.Option("--json", help="One JSON object a line.")] = False,
 ) -> None:
     """Print messages of a channel: time (s of the log), then fields.
 
     The JSON objects hold time_s and the fields under their paths; a number that is not finite is null.
     """
-    from tandem.log.fields import FieldError, parse, plain, text_of, value_at
+    from tandem.log.fields import FieldError, as_json, parse, text_of, value_at
 
     with sentences():
         event_log = opened(log)
@@ -52,10 +51,10 @@ def echo(
                 if message is None:
                     continue
                 names = paths or {name: [name] for name in message.__slots__}
-                shown: dict[str, Any] = {name: plain(value_at(message, path)) for name, path in names.items()}
+                shown: dict[str, Any] = {name: value_at(message, path) for name, path in names.items()}
                 time_s = (int(event_log.index.utime[row]) - event_log.begin_us) / 1e6
-                if as_json:
-                    print(json.dumps({"time_s": time_s, **shown}))
+                if json_lines:
+                    print(as_json({"time_s": time_s, **shown}).decode())
                 else:
                     values = "  ".join(f"{name}={text_of(value)}" for name, value in shown.items())
                     print(f"{time_s:.6f}  {values}")
