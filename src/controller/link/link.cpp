@@ -15,7 +15,6 @@ namespace tandem {
 namespace {
 
 constexpr int64_t kStatusEveryUs = 100'000;
-constexpr int64_t kRobotStateEveryUs = 9'000;  // 100 Hz, which come a little early or late
 constexpr int64_t kResendEveryUs = 500'000;
 constexpr int64_t kListenUs = 350'000;  // three status periods of another controller
 
@@ -114,8 +113,7 @@ void Link::send(const robot_state_t& state) {
   bool due;
   {
     const std::lock_guard lock(mutex_);
-    robot_state_ = std::make_unique<robot_state_t>(state);
-    due = monotonic_us() >= next_robot_state_us_;
+    due = robot_state_.offer(state, monotonic_us());
   }
   if (due) wake();
 }
@@ -179,10 +177,7 @@ void Link::publish_queued() {
     chunks.swap(chunks_);
     acks.swap(acks_);
     faults.swap(faults_);
-    if (robot_state_ && now_us >= next_robot_state_us_) {
-      robot_state.swap(robot_state_);
-      next_robot_state_us_ = now_us + kRobotStateEveryUs;
-    }
+    robot_state = robot_state_.take(now_us);
     for (auto& [number, pending] : pending_) {
       if (now_us < pending.send_at_us) continue;
       pending.send_at_us = now_us + kResendEveryUs;

@@ -21,6 +21,7 @@
 #include "base/signal.h"
 #include "base/spsc_ring.h"
 #include "controller/episode/recorder.h"
+#include "controller/link/paced.h"
 #include "controller/loop/status_board.h"
 #include "controller/task/scene.h"
 #include "intervention/command_check.h"
@@ -119,8 +120,7 @@ class Link {
   std::vector<action_chunk_t> chunks_;
   std::vector<policy_ack_t> acks_;
   std::vector<controller_fault_t> faults_;
-  std::unique_ptr<robot_state_t> robot_state_;
-  int64_t next_robot_state_us_ = 0;
+  Paced<robot_state_t> robot_state_{9'000};  // 100 Hz, which come a little early or late
 
   int64_t next_status_us_ = 0;
   std::atomic<bool> stopping_{false};

@@ -99,6 +99,55 @@ TEST_F(LinkTest, EpisodeIsSentUntilAcknowledgedAndAgainOnRequest) {
   listener.join();
 }
 
+TEST_F(LinkTest, RobotStateIsSentAtOnceNotWhenTheThreadNextLooks) {
+  Link link(settings_, task_, board_);
+  std::atomic<int> received{0};
+  peer_.subscribeFunction(
+      "ROBOT_STATE",
+      +[](const lcm::ReceiveBuffer*, const std::string&, std::atomic<int>* count) { ++*count; },
+      &received);
+  link.start();
+  int64_t shortest_us = 1'000'000;
+  for (int i = 1; i <= 20; ++i) {
+    std::this_thread::sleep_for(milliseconds(10));  // the thread has gone to sleep for 20 ms
+    const int64_t sent_us = monotonic_us();
+    link.send(robot_state_t{});
+    while (received < i && monotonic_us() - sent_us < 1'000'000) peer_.handleTimeout(1);
+    ASSERT_EQ(received, i);
+    shortest_us = std::min(shortest_us, monotonic_us() - sent_us);
+  }
+  EXPECT_LT(shortest_us, 5'000);
+}
+
+TEST(Paced, AHundredASecondAllComeThroughThoughEarlyOrLate) {
+  Paced<int> paced(9'000);
+  int sent = 0;
+  for (int i = 0; i < 1000; ++i) {
+    const int64_t now_us = 10'000 * (i + 1) + (i % 3 - 1) * 490;  // intervals of 9.02 to 10.49 ms
+    const bool due = paced.offer(i, now_us);
+    const std::unique_ptr<int> taken = paced.take(now_us);
+    EXPECT_TRUE(due && taken && *taken == i);
+    sent += taken != nullptr;
+  }
+  EXPECT_EQ(sent, 1000);
+}
+
+TEST(Paced, OfAThousandASecondTheLatestComesThroughEvery9Milliseconds) {
+  Paced<int> paced(9'000);
+  int sent = 0;
+  for (int i = 0; i < 10'000; ++i) {
+    const bool due = paced.offer(i, 1000 * i);
+    const std::unique_ptr<int> taken = paced.take(1000 * i);
+    EXPECT_EQ(due, taken != nullptr);
+    if (taken) {
+      EXPECT_EQ(*taken, i);
+    }
+    sent += due;
+  }
+  EXPECT_EQ(sent, 1112);
+  EXPECT_EQ(paced.take(1'000'000'000), nullptr) << "nothing is sent twice";
+}
+
 TEST_F(LinkTest, EmergencyStopIsHeardFromAnyone) {
   Link link(settings_, task_, board_);
   link.start();
