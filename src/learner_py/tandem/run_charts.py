@@ -10,8 +10,8 @@ from typing import Any
 
 from tandem import plot
 from tandem.histogram import Histogram
-from tandem.live_view import OUTCOMES
 from tandem.run_facts import Facts
+from tandem.words import OUTCOMES
 
 POINTS = 1000  # of a curve; longer ones are thinned out
 _COLOURS = {"success": "C2", "timeout": "C1", "failure": "C3", "fault": "k", "discard": "0.7"}

@@ -13,12 +13,12 @@ from typing import Any
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 
 from tandem import plot, run_folder, scenario, summary
-from tandem.live_view import OUTCOMES
 from tandem.run_charts import charts
 from tandem.run_facts import Facts, read
 from tandem.run_folder import RunFolder, shown
 from tandem.scenario import Scenario, ScenarioError
 from tandem.statistics import mean, percent
+from tandem.words import OUTCOMES
 
 TEMPLATE = "run_report.html"  # beside this file
 

@@ -14,9 +14,9 @@ from tandem import orders
 from tandem.cli.address import LcmUrlOption, RunOption, connect, find
 from tandem.cli.common import fail, sentences
 from tandem.faults import fault_text
-from tandem.live_view import STATES
 from tandem.run_folder import CONFIG, RunFolder
 from tandem.wire import Wire, utime
+from tandem.words import STATES
 
 HEARD_S = 2.0  # a controller tells its status ten times a second
 CONFIRMED_S = 10.0  # to bring the arm to rest, to close the episode

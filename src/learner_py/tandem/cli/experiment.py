@@ -3,13 +3,15 @@
 import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tandem.cli.common import fail, same_command, write_json
-from tandem.experiments.report import Report
-from tandem.experiments.runs import Run
+
+if TYPE_CHECKING:
+    from tandem.experiments.report import Report
+    from tandem.experiments.runs import Run
 
 SeedsOption = Annotated[str, typer.Option(help="Training seeds, comma-separated.")]
 JobsOption = Annotated[
@@ -51,7 +53,7 @@ def seed_numbers(seeds: str) -> list[int]:
     return numbers
 
 
-def carry_out(runs: Sequence[Run], jobs: int | None, ray: str | None) -> list[str]:
+def carry_out(runs: "Sequence[Run]", jobs: int | None, ray: str | None) -> list[str]:
     """Trains what is not finished. Returns a sentence for each run that failed; ends the command when stopped."""
     from tandem.experiments import machines, runner
     from tandem.experiments.runs import check
@@ -83,7 +85,7 @@ def carry_out(runs: Sequence[Run], jobs: int | None, ray: str | None) -> list[st
 
 
 def show(
-    report: Report,
+    report: "Report",
     facts: Mapping[str, object],
     failed: Sequence[str],
     report_folder: Path | None,

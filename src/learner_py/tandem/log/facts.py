@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from tandem.faults import fault_text
-from tandem.live_view import OUTCOMES, PHASES
 from tandem.log.event_log import EventLog
 from tandem.log.rates import rates, robot_time_s
 from tandem.statistics import share
 from tandem.wire import CHANNELS
 
+from tandem.words import OUTCOMES, PHASES
 _END = (
     *("episode", "phase", "outcome", "fault", "n_steps", "n_intervention_steps", "n_takeovers"),
     *("force_peak", "policy_version"),

@@ -8,11 +8,12 @@ from typing import Any
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 
 from tandem.faults import fault_text
-from tandem.live_view import OUTCOMES, PHASES, Progress
+from tandem.live_view import Progress
 from tandem.scenario import Scenario
 from tandem.spy import expected
 from tandem.spy.channel import DECODED, Channel, Row
 from tandem.spy.fields import FieldHistory
+from tandem.words import OUTCOMES, PHASES
 
 HISTORY = 120  # values of α, force, losses
 EVENTS = 200

@@ -6,10 +6,10 @@ from rich.text import Text
 from tandem_lcm.tandem.controller_status_t import controller_status_t
 
 from tandem.faults import fault_text
-from tandem.live_view import PHASES, ROBOT_MODES, STATES
 from tandem.spy.fields import sparkline
 from tandem.spy.model import Model
 from tandem.teleop.screen import GRADES, SOURCES, bar, forces
+from tandem.words import PHASES, ROBOT_MODES, STATES
 
 _LIMITS = (
     "not finite",

@@ -10,8 +10,8 @@ from rich.table import Table
 from rich.text import Text
 from tandem_lcm.tandem.controller_status_t import controller_status_t
 
-from tandem.live_view import PHASES, STATES
 from tandem.teleop.watch import Watch, object_in_goal
+from tandem.words import PHASES, STATES
 
 BAR, SHORT_BAR = 24, 6  # characters
 _AXES = ("x", "y", "z", "rx", "ry", "rz")

@@ -1,8 +1,9 @@
 """What the commands on logs share: finding a log, opening it, choosing episodes."""
 
+import contextlib
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -31,16 +32,19 @@ def find(log: Path) -> Path:
 
 def opened(log: Path) -> "EventLog":
     """The log with its index, which is made now, or refreshed, when the log is large."""
-    from rich.console import Console
-
     from tandem.log import EventLog
 
     path = find(log)
-    with Console(stderr=True).status("") as status:
-        said = f"indexing {path} ..."
+    with contextlib.ExitStack() as shown:
+        status: Any = None
 
         def progress(share: float) -> None:
-            status.update(f"{said} {100 * share:.0f} %")
+            nonlocal status
+            if status is None:  # there is something to wait for
+                from rich.console import Console
+
+                status = shown.enter_context(Console(stderr=True).status(""))
+            status.update(f"indexing {path} ... {100 * share:.0f} %")
 
         try:
             return EventLog(path, keep_index=True, progress=progress)
