@@ -112,7 +112,7 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   RunPosition position;
   if (!run_folder.empty()) {
     std::filesystem::create_directories(run_folder);
-    log.emplace((std::filesystem::path(run_folder) / "log.lcm").string());
+    log.emplace((std::filesystem::path(run_folder) / "log.lcm").string(), scenario.run.log);
     for (const episode_end_t& end : log->past().episodes) position.add(end);
     if (log->past().gains) {
       gains_from(*log->past().gains, scenario.control.gains, scenario.control.gains);

@@ -97,10 +97,10 @@ def test_log_without_ticks_proves_nothing(tmp_path: Path) -> None:
 
 def test_declared_faults_with_their_episodes_pass() -> None:
     ends = [end(0), end(1, episode_end_t.FAULT, fault=COLLISION), end(2, episode_end_t.FAULT, fault=ESTOP)]
-    told = [fault(1, COLLISION), fault(2, ESTOP)]
+    told = [fault(1, COLLISION), fault(2, ESTOP), fault(-1, ESTOP)]  # the last while nothing ran
     check = faults_declared(told, ends, {0, 1, 2, 3}, {COLLISION: 1, ESTOP: 2}, ended_well=False)
     assert check.passed, check.sentence
-    assert sum(check.figures["faults"].values()) == 2
+    assert sum(check.figures["faults"].values()) == 3
 
 
 @pytest.mark.parametrize(

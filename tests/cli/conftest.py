@@ -25,6 +25,8 @@ video_episodes: 2
 episodes: 5
 policy: ""
 robot_state_hz: 100
+log_file_mb: 0
+log_quota_mb: 0
 """
 TASK = """\
 # a task

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from tandem import supervisor
 from tandem.run_folder import RunFolder
-from tandem.scenario import compose
+from tandem.scenario import compose, load
 
 DRIVER = """
 import sys
@@ -60,10 +60,12 @@ def wait_for(condition: Any, process: subprocess.Popen[str] | None = None) -> No
 
 
 def test_whole_run_leaves_every_file_and_the_agreed_names(
-    config: Path, programs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    config: Path, programs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
     run = tmp_path / "run"
+    monkeypatch.setenv("FAKE_WITHOUT_MOTION", "2")
     assert train(config, run) == 0, capsys.readouterr().err
+    assert capsys.readouterr().out.count("motion is recorded no more") == 1
     for name in (
         "scenario.yaml",
         "log.lcm",
@@ -98,6 +100,9 @@ def test_whole_run_leaves_every_file_and_the_agreed_names(
     capsys.readouterr()
     assert train(config, run) == 0
     assert "is finished" in capsys.readouterr().out
+    # How much the log may take is no part of what the run is: with more room it goes on.
+    assert train(config, run, "run.log_quota_mb=100") == 0
+    assert load(run / "scenario.yaml").run["log_quota_mb"] == 100
     assert train(config, run, "controller.clip=0.5") == 2
     assert "controller.clip is 0.5 here and 0.01 there" in capsys.readouterr().err.replace("\n", " ")
 

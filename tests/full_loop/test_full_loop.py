@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tandem import scenario
+from tandem import processes, scenario
 from tandem.log import messages
 from tandem.log.compare import first_difference
 from tandem.run_folder import CONFIG, program
@@ -95,8 +95,9 @@ def test_log_does_not_depend_on_the_machines_load(
 
 def test_killed_controller_loses_at_most_the_running_episode(reference: Path, tmp_path: Path) -> None:
     run = tmp_path / "killed"
+    in_files = {"run.log_file_mb": 1}
     process = subprocess.Popen(
-        command(run), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
+        command(run, **in_files), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT
     )
     # Kill the controller as soon as a training episode is in its log.
     deadline = time.monotonic() + 180
@@ -109,11 +110,12 @@ def test_killed_controller_loses_at_most_the_running_episode(reference: Path, tm
     output, _ = process.communicate(timeout=120)
     assert process.returncode not in (0, None)
     assert "controller" in output
-    done = train(run)
+    done = train(run, **in_files)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-3000:]
     # EPISODE_END carries the digest of its steps: equal ends are equal episodes.
     _, difference = first_difference(reference / "log.lcm", run / "log.lcm", "EPISODE_END|EPISODE_STEP")
     assert difference is None, difference
+    assert (run / "log.lcm.01").exists()
 
 
 def replay(run: Path) -> tuple[int, dict[str, Any]]:
@@ -197,9 +199,57 @@ def test_stopped_arm_waits_for_an_order_and_the_fault_is_on_record(tmp_path: Pat
     assert len(stops) == 1
     assert 0 < stops[0].n_records <= 50
     ends = [event.message for event in messages(run / "log.lcm", "EPISODE_END")]
-    assert [end.fault for end in ends if end.outcome == end.FAULT] == [fault.fault for fault in faults]
+    assert [end.fault for end in ends if end.outcome == end.FAULT] == [
+        fault.fault for fault in faults if fault.episode >= 0
+    ]
     code, result = replay(run)
     assert code == 0, result
+
+
+def test_stop_before_the_first_episode_is_on_record(tmp_path: Path) -> None:
+    run, url = tmp_path / "early", processes.free_lcm_url()
+    # Without a learner the first episode waits for its policy.
+    composed = scenario.compose(CONFIG, "peg", "tandem", {}, ["run.demonstrations=0", "run.clock=realtime"])
+    composed.write(tmp_path / "scenario.yaml")
+    start: processes.Command = [
+        *(program("tandem_controller"), "--scenario", tmp_path / "scenario.yaml"),
+        *("--lcm-url", url, "--run", run),
+    ]
+
+    def order(*words: str) -> None:
+        done = subprocess.run(
+            [sys.executable, "-m", "tandem", "command", *words, "--lcm-url", url],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+
+    def faults() -> list[Any]:
+        return [event.message for event in messages(run / "log.lcm", "CONTROLLER_FAULT")]
+
+    controller = processes.Child("controller", start, tmp_path / "controller.out")
+    try:
+        order("estop")
+        deadline = time.monotonic() + 10
+        while not faults() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        (fault,) = faults()
+        assert "e-stop" in fault.sentence
+        assert (fault.episode, fault.n_records) == (-1, 0)  # nothing had moved
+        order("recover")
+        order("estop")
+        order("recover")
+    finally:
+        assert controller.stop(10.0) in processes.STOPPED
+    assert len(faults()) == 2
+    # What no episode follows is not cut off when the run goes on.
+    again = processes.Child("controller", start, tmp_path / "controller.out")
+    try:
+        order("estop")
+    finally:
+        assert again.stop(10.0) in processes.STOPPED
+    assert len(faults()) == 3
 
 
 def test_realtime_runs_on_the_wall_clock_and_counts_overruns(tmp_path: Path) -> None:

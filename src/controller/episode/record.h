@@ -75,11 +75,18 @@ struct StepRecord {
   uint64_t torque_digest = 0;        ///< over the bits of every commanded torque
 };
 
-struct EpisodeFinish {
-  int64_t utime = 0, tick = 0;
-  Outcome outcome = Outcome::timeout;
+/// A fault was latched.
+struct FaultRecord {
+  int64_t utime = 0;
+  int64_t episode = -1, tick = 0;  ///< that it ended; -1: none was running
   Fault fault = Fault::none;
   int32_t faults_in_a_row = 0, faults_allowed = 0;
+};
+
+struct EpisodeFinish {
+  int64_t utime = 0;
+  Outcome outcome = Outcome::timeout;
+  Fault fault = Fault::none;
 };
 
 /// A policy was put in force between two episodes (lockstep) or between two chunks (real time).
@@ -88,7 +95,8 @@ struct PolicyInForce {
   int32_t version = 0;
 };
 
-using Record = std::variant<EpisodeBegin, TickRecord, ObservationRecord, StepSnapshot, ChunkRecord,
-                            HumanCommand, GainsRecord, StepRecord, EpisodeFinish, PolicyInForce>;
+using Record =
+    std::variant<EpisodeBegin, TickRecord, ObservationRecord, StepSnapshot, ChunkRecord,
+                 HumanCommand, GainsRecord, StepRecord, FaultRecord, EpisodeFinish, PolicyInForce>;
 
 }  // namespace tandem

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
 #include <tandem/episode_step_t.hpp>
 
 #include "base/sha256.h"
@@ -44,6 +45,7 @@ void Recorder::run() {
     if (log_) {
       // However this process ends, the log holds what came before the latest batch.
       log_->flush();
+      board_.log_bytes = log_->bytes();
       if (!log_->failure().empty()) board_.stop = true;
     }
     if (stopping) break;
@@ -56,16 +58,27 @@ void Recorder::take(const EpisodeBegin& begin) {
   observations_.clear();
   steps_.clear();
   last_ticks_.clear();
+  if (!log_) return;
+  log_->begin_episode();
+  keeps_motion_ = !log_->full();
+  if (keeps_motion_) return;
+  if (++board_.episodes_without_motion == 1) {
+    std::fprintf(stderr,
+                 "The log has %.0f MB, as many as run.log_quota_mb allows: from episode %lld on it "
+                 "keeps what learning and resuming need, and no motion. The same command with a "
+                 "larger --set run.log_quota_mb records it again.\n",
+                 1e-6 * static_cast<double>(log_->bytes()), static_cast<long long>(begin.episode));
+  }
 }
 
 void Recorder::take(const TickRecord& tick) {
   utime_ = tick.input.utime;
   if (last_ticks_.size() == kFaultRecords) last_ticks_.pop_front();
   last_ticks_.push_back(tick);
-  if (settings_.every_tick) log("CONTROL_TICK", utime_, to_control_tick(tick, episode_.episode));
+  if (settings_.every_tick) log_motion("CONTROL_TICK", to_control_tick(tick, episode_.episode));
   if (settings_.robot_state_every == 0 || tick.tick % settings_.robot_state_every != 0) return;
   const robot_state_t message = to_message(tick, episode_.episode);
-  log("ROBOT_STATE", utime_, message);
+  log_motion("ROBOT_STATE", message);
   if (sinks_.robot_state) sinks_.robot_state(message);
 }
 
@@ -78,17 +91,17 @@ void Recorder::take(const ObservationRecord& observation) {
 
 void Recorder::take(const StepSnapshot& snapshot) {
   utime_ = snapshot.utime;
-  log("WORLD_STATE", snapshot.utime, to_message(snapshot, task_));
+  log_motion("WORLD_STATE", to_message(snapshot, task_));
 }
 
 void Recorder::take(const ChunkRecord& chunk) {
   const action_chunk_t message = to_message(chunk, episode_.episode, utime_);
-  log("ACTION_CHUNK", utime_, message);
+  log_motion("ACTION_CHUNK", message);
   if (sinks_.chunk) sinks_.chunk(message);
 }
 
 void Recorder::take(const HumanCommand& command) {
-  log("TELEOP_COMMAND", utime_, to_message(command));
+  log_motion("TELEOP_COMMAND", to_message(command));
 }
 
 void Recorder::take(const GainsRecord& gains) {
@@ -105,7 +118,6 @@ void Recorder::take(const PolicyInForce& policy) {
 }
 
 void Recorder::take(const EpisodeFinish& finish) {
-  if (finish.fault != Fault::none) report_fault(finish);
   auto episode = std::make_shared<FinishedEpisode>(assemble(finish));
   if (log_) {
     for (const std::vector<uint8_t>& step : episode->steps)
@@ -119,19 +131,19 @@ void Recorder::take(const EpisodeFinish& finish) {
   if (sinks_.episode) sinks_.episode(std::move(episode));
 }
 
-void Recorder::report_fault(const EpisodeFinish& finish) {
+void Recorder::take(const FaultRecord& fault) {
   controller_fault_t m;
-  m.utime = finish.utime;
-  m.episode = episode_.episode;
-  m.tick = finish.tick;
-  m.fault = static_cast<int32_t>(finish.fault);
-  m.sentence = fault_text(finish.fault);
-  m.faults_in_a_row = finish.faults_in_a_row;
-  m.faults_allowed = finish.faults_allowed;
+  m.utime = fault.utime;
+  m.episode = fault.episode;
+  m.tick = fault.tick;
+  m.fault = static_cast<int32_t>(fault.fault);
+  m.sentence = fault_text(fault.fault);
+  m.faults_in_a_row = fault.faults_in_a_row;
+  m.faults_allowed = fault.faults_allowed;
   for (const TickRecord& tick : last_ticks_)
     m.last_records.push_back(to_message(tick, episode_.episode));
   m.n_records = static_cast<int32_t>(m.last_records.size());
-  log("CONTROLLER_FAULT", finish.utime, m);
+  log("CONTROLLER_FAULT", fault.utime, m);
   if (sinks_.fault) sinks_.fault(m);
 }
 

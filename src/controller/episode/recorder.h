@@ -46,6 +46,10 @@ struct RecorderSinks {
 /// Drains the control thread's ring on its own thread: writes the event log, assembles episodes,
 /// computes returns. When the log can't be written any more it asks for the run to stop: nothing is
 /// done that would not be recorded.
+///
+/// What streams while the arm moves (ROBOT_STATE, CONTROL_TICK, WORLD_STATE, TELEOP_COMMAND,
+/// ACTION_CHUNK: the motion) is logged for whole episodes, those that begin before the log is
+/// full(). All else always is: learning and resuming need it.
 class Recorder {
  public:
   /// @param log may be null: episodes are assembled but not written.
@@ -69,14 +73,19 @@ class Recorder {
   void take(const HumanCommand& command);
   void take(const GainsRecord& gains);
   void take(const StepRecord& step);
+  void take(const FaultRecord& fault);
   void take(const EpisodeFinish& finish);
   void take(const PolicyInForce& policy);
   FinishedEpisode assemble(const EpisodeFinish& finish);
-  void report_fault(const EpisodeFinish& finish);
 
   template <typename Message>
   void log(const char* channel, int64_t utime, const Message& message) {
     if (log_) log_->write(channel, utime, message);
+  }
+
+  template <typename Message>
+  void log_motion(const char* channel, const Message& message) {
+    if (keeps_motion_) log(channel, utime_, message);
   }
 
   SpscRing<Record>& ring_;
@@ -87,6 +96,7 @@ class Recorder {
   RecorderSinks sinks_;
 
   EpisodeBegin episode_;
+  bool keeps_motion_ = true;  // of the running episode
   int64_t utime_ = 0;
   std::vector<std::vector<float>> observations_;
   std::vector<StepRecord> steps_;

@@ -249,6 +249,8 @@ controller_status_t Link::status() const {
             m.policy_latency_ticks);
   std::copy(board_.limited_ticks.begin(), board_.limited_ticks.end(), m.limited_ticks);
   m.records_dropped = board_.records_dropped;
+  m.log_bytes = board_.log_bytes;
+  m.episodes_without_motion = board_.episodes_without_motion;
   m.episodes_unacknowledged = board_.episodes_unacknowledged;
   m.last_rejection = board_.last_rejection();
   m.waiting_for = board_.waiting_for();

@@ -108,8 +108,8 @@ void Run::episode() {
   }
   faults_in_a_row_ = outcome == Outcome::fault ? faults_in_a_row_ + 1 : 0;
   board_.faults_in_a_row = faults_in_a_row_;
-  loop_.record(
-      EpisodeFinish{utime(), tick_, outcome, fault, faults_in_a_row_, control_.faults_in_a_row});
+  if (fault != Fault::none) record_fault(begin.episode, fault);
+  loop_.record(EpisodeFinish{utime(), outcome, fault});
 
   episode_end_t end;
   end.episode = begin.episode;
@@ -136,7 +136,10 @@ void Run::halt(Fault fault) {
                  "; the arm holds still. The limit is controller.faults_in_a_row."};
   }
   // An e-stop may have come while the arm was braking for something else.
-  if (board_.estop.exchange(false)) fault = Fault::estop;
+  if (board_.estop.exchange(false) && fault != Fault::estop) {
+    fault = Fault::estop;
+    record_fault(-1, fault);
+  }
   if (has_operator() || fault == Fault::estop) {
     board_.recover = false;
     board_.fault = static_cast<int32_t>(fault);
@@ -147,6 +150,7 @@ void Run::halt(Fault fault) {
       forget_what_was_said();
       // An e-stop while something else is latched needs an order of its own.
       if (board_.estop.exchange(false)) {
+        if (fault != Fault::estop) record_fault(-1, Fault::estop);
         fault = Fault::estop;
         board_.fault = static_cast<int32_t>(fault);
         board_.wait_for(kAwaitingRecovery + std::string(fault_text(fault)));
@@ -167,6 +171,11 @@ void Run::halt(Fault fault) {
     }
     pass_cycle();
   }
+}
+
+void Run::record_fault(int64_t episode, Fault fault) {
+  loop_.record(FaultRecord{utime(), episode, episode < 0 ? 0 : tick_, fault, faults_in_a_row_,
+                           control_.faults_in_a_row});
 }
 
 // A cycle in which the robot has itself in hand.

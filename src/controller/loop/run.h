@@ -46,6 +46,8 @@ class Run {
   void ticks_of_step();
   void tick(int missed_cycles);
   Fault finish_motion();
+  /// episode: that it ended, -1 when none was running.
+  void record_fault(int64_t episode, Fault fault);
   void halt(Fault fault);
   void pass_cycle();
   void publish_gauges();

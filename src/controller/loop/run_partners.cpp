@@ -169,7 +169,9 @@ void Run::poll_partners(int64_t now_us) {
 void Run::while_waiting() {
   stop_if_asked();
   forget_what_was_said();
-  if (board_.estop) halt(Fault::estop);
+  if (!board_.estop) return;
+  record_fault(-1, Fault::estop);
+  halt(Fault::estop);
 }
 
 // Real time: what a human said while nothing moved is not for the arm that moves next. In lockstep

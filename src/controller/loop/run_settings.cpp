@@ -29,6 +29,11 @@ RunSettings read_run(Section section) {
   settings.episodes = static_cast<int>(section.integer("episodes", 1, 1'000'000));
   settings.policy = section.text("policy");
   settings.robot_state_hz = static_cast<int>(section.integer("robot_state_hz", 0, 1000));
+  // Logs of earlier versions, which replay reads, know neither.
+  const auto bytes = [&section](const char* key) {
+    return section.has(key) ? 1'000'000 * section.integer(key, 0, 100'000'000) : 0;
+  };
+  settings.log = {.file = bytes("log_file_mb"), .quota = bytes("log_quota_mb")};
   for (const char* key : {"task", "method", "evaluation_every", "evaluation_episodes",
                           "fresh_episodes", "video_episodes"})
     section.leave(key);

@@ -6,6 +6,7 @@
 #include <tandem/episode_end_t.hpp>
 
 #include "base/section.h"
+#include "controller/episode/event_log.h"
 #include "controller/task/scene.h"
 
 namespace tandem {
@@ -23,6 +24,7 @@ struct RunSettings {
   int episodes = 0;        ///< modes evaluate and demonstrate
   std::string policy;      ///< mode evaluate
   int robot_state_hz = 100;
+  LogLimits log;
 
   /// Everything random in an episode comes from this; 63 bits, since it travels as a signed number.
   uint64_t episode_seed(int64_t episode) const;

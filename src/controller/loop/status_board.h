@@ -17,6 +17,7 @@ struct StatusBoard {
   std::atomic<int8_t> state{controller_status_t::WAITING};
   std::atomic<int8_t> phase{0};
   std::atomic<int64_t> episode{-1}, env_steps{0}, ticks{0}, overruns{0}, records_dropped{0};
+  std::atomic<int64_t> log_bytes{0}, episodes_without_motion{0};
   std::atomic<int32_t> policy_version{0};
   std::atomic<int64_t> teleop_accepted{0}, teleop_rejected{0}, gains_accepted{0}, gains_rejected{0},
       commands_rejected{0}, learner_rejected{0}, policies_rejected{0}, episodes_unacknowledged{0};

@@ -4,13 +4,14 @@
 
 #include <algorithm>
 #include <deque>
-#include <lcm/lcm-cpp.hpp>
 #include <stdexcept>
 #include <tandem/episode_end_t.hpp>
 #include <tandem/robot_state_t.hpp>
 #include <tandem/scenario_t.hpp>
 #include <tandem/world_state_t.hpp>
 #include <tuple>
+
+#include "controller/episode/log_files.h"
 
 namespace tandem {
 namespace {
@@ -74,12 +75,11 @@ int RecordedEpisode::step_at(double tick) const {
 }
 
 Recording read_recording(const std::string& log_path, int episodes) {
-  lcm::LogFile log(log_path, "r");
-  if (!log.good()) throw std::runtime_error(log_path + ": the event log cannot be opened.");
+  EventReader log(log_path);
   Recording recording;
   std::deque<RecordedEpisode> kept;
   RecordedEpisode running;
-  while (const lcm::LogEvent* event = log.readNextEvent()) {
+  while (const lcm::LogEvent* event = log.next()) {
     scenario_t scenario{};
     robot_state_t robot{};
     world_state_t world{};

@@ -35,8 +35,8 @@ Chunk to_chunk(const action_chunk_t& m, int ticks_per_step) {
 
 }  // namespace
 
-LogReader::LogReader(const std::string& path) : path_(path), file_(path, "r") {
-  const lcm::LogEvent* first = file_.good() ? file_.readNextEvent() : nullptr;
+LogReader::LogReader(const std::string& path) : path_(path), events_(path) {
+  const lcm::LogEvent* first = events_.next();
   if (!first || first->channel != "SCENARIO") {
     throw std::runtime_error(path +
                              ": this is no log of a Tandem run; RUN/log.lcm begins with SCENARIO.");
@@ -47,7 +47,7 @@ LogReader::LogReader(const std::string& path) : path_(path), file_(path, "r") {
 std::optional<EpisodeEvents> LogReader::next(int ticks_per_step) {
   EpisodeEvents episode;
   int64_t next_tick = 0;  // in which something that stands here in the log took effect
-  while (const lcm::LogEvent* event = file_.readNextEvent()) {
+  while (const lcm::LogEvent* event = events_.next()) {
     const std::string& channel = event->channel;
     if (channel == "WORLD_STATE") {
       episode.steps.push_back(decode<world_state_t>(*event, path_));

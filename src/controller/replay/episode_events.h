@@ -1,6 +1,5 @@
 #pragma once
 
-#include <lcm/lcm-cpp.hpp>
 #include <optional>
 #include <string>
 #include <tandem/control_tick_t.hpp>
@@ -14,6 +13,7 @@
 #include <vector>
 
 #include "controller/chunk/chunk.h"
+#include "controller/episode/log_files.h"
 #include "intervention/command_check.h"
 
 namespace tandem {
@@ -49,7 +49,7 @@ class LogReader {
 
  private:
   std::string path_;
-  lcm::LogFile file_;
+  EventReader events_;
   scenario_t scenario_;
 };
 

@@ -23,6 +23,7 @@ int run(const std::string& log, const std::string& root, int64_t episodes,
   });
   nlohmann::json report = {{"clock", replay.lockstep() ? "lockstep" : "realtime"},
                            {"episodes", result.episodes},
+                           {"episodes_without_motion", result.without_motion},
                            {"steps", result.steps},
                            {"ticks", result.ticks},
                            {"torques_one_by_one", result.torques},
@@ -46,6 +47,13 @@ int run(const std::string& log, const std::string& root, int64_t episodes,
     std::fprintf(stderr, "%s holds no complete episode.\n", log.c_str());
     return 2;
   }
+  if (result.without_motion > 0) {
+    std::fprintf(stderr,
+                 "%lld of the episodes were recorded without motion (brought in from elsewhere, or "
+                 "beyond run.log_quota_mb), and are not computed again.\n",
+                 static_cast<long long>(result.without_motion));
+  }
+  if (result.without_motion == result.episodes) return 2;
   if (!result.first) return 0;
   std::fprintf(stderr,
                "First difference: episode %lld, tick %lld: %s. Logged by revision %s; another "

@@ -45,7 +45,10 @@ ReplayResult Replay::run(int64_t episodes,
   while (episodes == 0 || result_.episodes < episodes) {
     const std::optional<EpisodeEvents> events = log_.next(scenario_.task->spec().ticks_per_step);
     if (!events) break;
-    episode(*events);
+    if (events->steps.empty())
+      ++result_.without_motion;
+    else
+      episode(*events);
     ++result_.episodes;
     progress(result_);
   }
@@ -53,7 +56,6 @@ ReplayResult Replay::run(int64_t episodes,
 }
 
 void Replay::episode(const EpisodeEvents& events) {
-  if (events.steps.empty()) return;
   const bool lockstep = scenario_.run.lockstep;
   const world_state_t& start = events.steps.front();
   EpisodeBegin begin;

@@ -19,9 +19,10 @@ struct Difference {
 
 struct ReplayResult {
   int64_t episodes = 0, steps = 0;
-  int64_t ticks = 0;        ///< recomputed
-  int64_t torques = 0;      ///< compared one by one, seven a tick
-  int64_t differences = 0;  ///< ticks, steps and observations that are not equal to the bit
+  int64_t without_motion = 0;  ///< of the episodes: nothing in the log to compute again
+  int64_t ticks = 0;           ///< recomputed
+  int64_t torques = 0;         ///< compared one by one, seven a tick
+  int64_t differences = 0;     ///< ticks, steps and observations that are not equal to the bit
   std::optional<Difference> first;
 };
 

@@ -17,6 +17,7 @@ from tandem_lcm.tandem.scenario_t import scenario_t
 from tandem.learner.episode import Episode
 from tandem.learner.windows import with_discount
 from tandem.log import episodes
+from tandem.log.files import refuse_leftovers
 from tandem.run_folder import RunFolderError, git_revision, shown
 from tandem.scenario import Scenario
 
@@ -52,6 +53,7 @@ def begin(log: Path, scenario: Scenario, source: Path) -> None:
 def write_log(log: Path, scenario: Scenario, given: Iterable[Episode]) -> None:
     """A standard event log, whole or not at all: SCENARIO, then each episode's steps and its end."""
     log.parent.mkdir(parents=True, exist_ok=True)
+    refuse_leftovers(log)
     partial = log.with_name(log.name + ".part")
     file = lcm.EventLog(str(partial), "w", overwrite=True)
     try:

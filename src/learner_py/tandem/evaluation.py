@@ -20,7 +20,7 @@ from typing import Any
 
 from tandem import processes
 from tandem.run_folder import policy_metadata, program, write_json
-from tandem.scenario import Scenario
+from tandem.scenario import LOG_LIMITS, Scenario
 from tandem.statistics import mean, wilson
 
 CHECKPOINT_SEED = 1_000_000
@@ -78,6 +78,7 @@ class Evaluation:
             clock="lockstep",
             policy=str(self.policy.resolve()) if self.policy else "",
             robot_state_hz=self.robot_state_hz,
+            **dict.fromkeys(LOG_LIMITS, 0),  # of the training's own log
         ).write(scenario_file)
         # Nobody needs to hear a policy's evaluation, so it stays in the process unless an address is given.
         url = self.lcm_url or ("memq://" if self.policy else processes.free_lcm_url())

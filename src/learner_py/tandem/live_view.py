@@ -144,6 +144,11 @@ def rows(
             )
         if status.records_dropped:
             shown["log"] = f"INCOMPLETE: {status.records_dropped} records dropped"
+        elif status.episodes_without_motion:
+            shown["log"] = (
+                f"{status.log_bytes / 1e6:.0f} MB, the quota: {status.episodes_without_motion} episodes without"
+                " motion, for learning alone"
+            )
     if evaluated or running:
         latest = max(evaluated, default=None)
         parts = []

@@ -13,6 +13,7 @@ from typing import Any
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 
 from tandem import plot, run_folder, scenario, summary
+from tandem.log.files import files_of
 from tandem.run_charts import charts
 from tandem.run_facts import Facts, read
 from tandem.run_folder import RunFolder, shown
@@ -163,4 +164,5 @@ def _files(folder: RunFolder) -> list[tuple[str, str]]:
         "demo.mp4",
     )
     there = [folder.path / name for name in names if (folder.path / name).is_file()]
+    there += files_of(folder.log)[1:]
     return [(file.name, f"{file.stat().st_size / 1e6:.2f} MB") for file in there]

@@ -18,6 +18,9 @@ import yaml
 
 SECTIONS = ("run", "task", "controller", "operator", "method")
 
+# Keys of `run` that say how much a log may take, and change nothing of the run.
+LOG_LIMITS = ("log_file_mb", "log_quota_mb")
+
 # Larger seeds are kept for evaluation (tandem.evaluation): no training ever saw an evaluation's episodes.
 MAX_TRAINING_SEED = 999_999
 
@@ -168,9 +171,11 @@ class Scenario:
         )
 
     def first_difference(self, other: "Scenario") -> str | None:
-        """A clause about the first key in which the two differ, None when they are equal."""
+        """A clause about the first key in which the two differ, None when they are the same run."""
         mine, theirs = self.leaves(), other.leaves()
         for key in [*mine, *(k for k in theirs if k not in mine)]:
+            if key in (f"run.{name}" for name in LOG_LIMITS):
+                continue
             if key not in theirs:
                 return f"{key} is {_show(mine[key])} here and absent there"
             if key not in mine:
@@ -289,6 +294,7 @@ _RANGES: dict[str, tuple[int, int]] = {
     "video_episodes": (0, 100),
     "episodes": (1, 10_000),
     "robot_state_hz": (0, 1000),
+    **dict.fromkeys(LOG_LIMITS, (0, 100_000_000)),
 }
 _CHOICES = {"mode": ("train", "evaluate", "demonstrate", "bench"), "clock": ("lockstep", "realtime")}
 _RUN_KEYS = ("task", "method", "seed", "policy", *_CHOICES, *_RANGES)

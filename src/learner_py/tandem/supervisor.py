@@ -33,7 +33,7 @@ from tandem.live_plots import LivePlots
 from tandem.processes import Child
 from tandem.run_clock import Clock
 from tandem.run_folder import RunFolder, RunFolderError, program, shown
-from tandem.scenario import Scenario, ScenarioError, load
+from tandem.scenario import LOG_LIMITS, Scenario, ScenarioError, load
 
 PLAIN_INTERVAL_S = 5.0  # a line when stdout is no terminal
 CONTROLLER_PATIENCE_S = 10.0  # to bring the arm to rest and close the log
@@ -109,8 +109,11 @@ def open_run(settings: Settings, console: Console) -> bool:
         scenario.write(folder.scenario)
         return False
     begun = bool(summary.read_episodes(folder.log))
-    difference = scenario.first_difference(load(folder.scenario))
+    before = load(folder.scenario)
+    difference = scenario.first_difference(before)
     if difference is None:
+        if any(scenario.run[key] != before.run.get(key) for key in LOG_LIMITS):
+            scenario.write(folder.scenario)
         return begun
     if begun:
         raise TrainingError(
@@ -137,6 +140,7 @@ class _Supervisor:
         self._last_line = -math.inf
         self._live: Live | None = None
         self._lent = LentTerminal(settings.operator)
+        self._quota_told = False
 
     # ---- the run from top to bottom
 
@@ -394,10 +398,21 @@ class _Supervisor:
         self.clock.spend(part)
         if self.progress.status is not None:
             self.clock.value["overruns"] = self.progress.status.overruns
+            self._tell_of_quota()
         self.checkpoints.look(self.clock)
         self.checkpoints.poll(slots=1)
         self.plots.evaluations(self.checkpoints.evaluated)
         self._show()
+
+    def _tell_of_quota(self) -> None:
+        """Once, when the log is as large as it may become."""
+        if self._quota_told or not self.progress.status.episodes_without_motion:
+            return
+        self._quota_told = True
+        self._say(
+            f"The log has reached run.log_quota_mb ({self.scenario.run['log_quota_mb']} MB): learning goes on, and"
+            " motion is recorded no more. To record it again, stop and call again with a larger one."
+        )
 
     def _wait_after(self, doing: str) -> None:
         """A tenth of a second of the final evaluation: book it, show it."""

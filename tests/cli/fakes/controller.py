@@ -75,6 +75,7 @@ status = controller_status_t()
 status.env_steps_budget = run["env_steps"]
 status.lockstep = 1
 status.state = status.RUNNING
+status.episodes_without_motion = int(os.environ.get("FAKE_WITHOUT_MOTION", "0"))
 
 
 def tell() -> None:

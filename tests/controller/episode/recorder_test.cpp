@@ -4,6 +4,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <sstream>
 #include <tandem/episode_step_t.hpp>
 
@@ -111,7 +112,27 @@ TEST(Recorder, StepWithoutItsNextObservationIsNotATransition) {
 class EventLogTest : public ::testing::Test {
  protected:
   std::string path_ = ::testing::TempDir() + "event_log_test_" + std::to_string(getpid()) + ".lcm";
-  void TearDown() override { std::filesystem::remove(path_); }
+  void TearDown() override {
+    for (int n = 0; n < 100; ++n) std::filesystem::remove(log_file(path_, static_cast<size_t>(n)));
+  }
+
+  std::string bytes(size_t n) const {
+    std::ostringstream text;
+    text << std::ifstream(log_file(path_, n), std::ios::binary).rdbuf();
+    return text.str();
+  }
+
+  /// The channels of all events, as LCM reads a file or the whole log.
+  template <typename Read>
+  static std::map<std::string, int> channels(Read read) {
+    std::map<std::string, int> found;
+    while (const lcm::LogEvent* event = read()) ++found[event->channel];
+    return found;
+  }
+  std::map<std::string, int> all_channels() const {
+    EventReader log(path_);
+    return channels([&] { return log.next(); });
+  }
 };
 
 TEST_F(EventLogTest, CutOffTailIsRemovedAndTheRunContinues) {
@@ -142,6 +163,149 @@ TEST_F(EventLogTest, WhatWasHandedOverIsOnDiskBeforeTheEpisodeEnds) {
   ring.push(TickRecord{});
   for (int i = 0; i < 1000 && std::filesystem::file_size(path_) == 0; ++i) usleep(1000);
   EXPECT_GT(std::filesystem::file_size(path_), 300u);  // a whole CONTROL_TICK
+}
+
+/// An episode with one tick, one world state and `n` steps.
+void push_moving_episode(SpscRing<Record>& ring, int64_t number, int n) {
+  ring.push(EpisodeBegin{.episode = number, .phase = Phase::training});
+  ring.push(StepSnapshot{});
+  ring.push(TickRecord{});
+  ring.push(HumanCommand{});
+  ChunkRecord chunk;
+  chunk.chunk.actions.fill(Action::Zero());
+  ring.push(chunk);
+  for (int t = 0; t <= n; ++t) {
+    ring.push(ObservationRecord{.step = t});
+    if (t < n) ring.push(StepRecord{.step = t});
+  }
+  ring.push(EpisodeFinish{.outcome = Outcome::success});
+}
+
+TEST_F(EventLogTest, FilesInARowAreTheLogThatOneFileWouldBe) {
+  const auto push = [](auto& ring) {
+    for (int64_t e = 0; e < 6; ++e) push_moving_episode(ring, e, 3);
+  };
+  {
+    EventLog log(path_);
+    record(push, &log);
+  }
+  const std::string one = bytes(0);
+  TearDown();
+  {
+    EventLog log(path_, {.file = static_cast<int64_t>(one.size() / 3)});
+    record(push, &log);
+    EXPECT_EQ(log.bytes(), static_cast<int64_t>(one.size()));
+  }
+  ASSERT_EQ(count_log_files(path_), 3u);
+  std::map<std::string, int> by_file;
+  for (size_t n = 0; n < 3; ++n) {
+    lcm::LogFile file(log_file(path_, n), "r");
+    const auto found = channels([&] { return file.readNextEvent(); });
+    EXPECT_EQ(found.at("EPISODE_END"), 2);  // whole episodes
+    for (const auto& [channel, count] : found) by_file[channel] += count;
+  }
+  EXPECT_EQ(all_channels(), by_file);
+  // Byte for byte, but for LCM's event numbers, which begin anew in every file.
+  const std::string several = bytes(0) + bytes(1) + bytes(2);
+  ASSERT_EQ(several.size(), one.size());
+  size_t differ = 0;
+  for (size_t i = 0; i < one.size(); ++i) differ += one[i] != several[i];
+  size_t events = 0;
+  for (const auto& [channel, count] : by_file) events += static_cast<size_t>(count);
+  EXPECT_LE(differ, events);  // numbers below 256: one byte each
+}
+
+TEST_F(EventLogTest, CutOffTailOfTheLastFileIsRemovedAndTheRunContinues) {
+  const LogLimits limits{.file = 1};  // a file an episode
+  {
+    EventLog log(path_, limits);
+    record(
+        [](auto& ring) {
+          push_moving_episode(ring, 0, 3);
+          push_moving_episode(ring, 1, 4);
+        },
+        &log);
+    log.begin_episode();
+    log.write("ROBOT_STATE", 5, std::vector<uint8_t>(100, 7));  // killed in the third
+  }
+  ASSERT_EQ(count_log_files(path_), 3u);
+  const std::string second = bytes(1);
+  std::filesystem::resize_file(log_file(path_, 2), 60);
+  EventLog log(path_, limits);
+  ASSERT_EQ(log.past().episodes.size(), 2u);
+  EXPECT_EQ(log.past().episodes[1].n_steps, 4);
+  EXPECT_EQ(count_log_files(path_), 2u);
+  EXPECT_EQ(bytes(1), second);
+  EXPECT_EQ(log.bytes(), static_cast<int64_t>(bytes(0).size() + second.size()));
+  record([](auto& ring) { push_moving_episode(ring, 2, 3); }, &log);
+  EXPECT_EQ(all_channels().at("EPISODE_END"), 3);
+  EXPECT_EQ(bytes(1), second);
+}
+
+TEST_F(EventLogTest, BeyondTheQuotaEpisodesGoOnWithoutMotion) {
+  StatusBoard board;
+  const auto recorded = [&](int episodes, int64_t quota) {
+    SpscRing<Record> ring(512);
+    EventLog log(path_, {.quota = quota});
+    const TaskSpec task;
+    RecorderSinks sinks;
+    int shown = 0;
+    sinks.robot_state = [&](const robot_state_t&) { ++shown; };
+    Recorder recorder(ring, &log, task, kObservation, {.every_tick = true}, sinks, board);
+    for (int e = 0; e < episodes; ++e) push_moving_episode(ring, e, 3);
+    ring.push(FaultRecord{.fault = Fault::estop});
+    recorder.stop();
+    EXPECT_EQ(shown, episodes);  // who looks on sees all of it
+    return log.bytes();
+  };
+  const int64_t whole = recorded(4, 0);
+  TearDown();
+  EXPECT_LT(recorded(4, whole / 2), whole);
+  auto found = all_channels();
+  for (const char* channel :
+       {"ROBOT_STATE", "CONTROL_TICK", "WORLD_STATE", "TELEOP_COMMAND", "ACTION_CHUNK"})
+    EXPECT_EQ(found[channel], 3) << channel;  // the third began within the quota
+  EXPECT_EQ(found["EPISODE_STEP"], 12);
+  EXPECT_EQ(found["EPISODE_END"], 4);
+  EXPECT_EQ(found["CONTROLLER_FAULT"], 1);
+  EXPECT_EQ(board.episodes_without_motion, 1);
+}
+
+TEST_F(EventLogTest, MissingFileIsASentenceAndNothingIsTouched) {
+  {
+    EventLog log(path_, {.file = 1});
+    record(
+        [](auto& ring) {
+          for (int64_t e = 0; e < 3; ++e) push_moving_episode(ring, e, 3);
+        },
+        &log);
+  }
+  const std::string last = bytes(2);
+  std::filesystem::remove(log_file(path_, 1));
+  try {
+    EventLog log(path_);
+    FAIL() << "a run that goes on would overwrite or forget what follows";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find(".lcm.01 is missing"), std::string::npos)
+        << error.what();
+  }
+  EXPECT_EQ(bytes(2), last);
+}
+
+TEST_F(EventLogTest, FaultBetweenEpisodesIsKeptWhenTheRunContinues) {
+  {
+    EventLog log(path_);
+    record(
+        [](auto& ring) {
+          push_moving_episode(ring, 0, 3);
+          ring.push(FaultRecord{.utime = 9, .fault = Fault::estop});
+        },
+        &log);
+  }
+  const auto whole = std::filesystem::file_size(path_);
+  EventLog log(path_);
+  EXPECT_EQ(std::filesystem::file_size(path_), whole);
+  EXPECT_EQ(all_channels().at("CONTROLLER_FAULT"), 1);
 }
 
 TEST_F(EventLogTest, UnwritableFolderIsASentence) {

@@ -79,13 +79,15 @@ def export(
 
 def measure(kind: Format, source: Any, out: Path, channel: str = "", instruction: str = "") -> dict[str, Any]:
     """Exports, and says what came out and how fast."""
+    from tandem.log.files import files_of
+
     begun, begun_cpu = time.perf_counter(), time.process_time()
     try:
         counts = _write(kind, source, out, channel, instruction)
     except OSError as error:
         fail(f"{error.filename or out} can't be written ({error.strerror}).")
     seconds = time.perf_counter() - begun
-    log_bytes = source.log.stat().st_size
+    log_bytes = sum(file.stat().st_size for file in files_of(source.log))
     files = [file for file in out.rglob("*") if file.is_file()] if out.is_dir() else [out]
     return {
         "format": kind.value,

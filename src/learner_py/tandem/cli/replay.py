@@ -20,7 +20,7 @@ def replay(
 
     A lockstep log: the whole control side with the simulated arm, from the seeds, human commands, chunks and
     gains in the log. A real-time log: the control side, from the recorded states of the robot. Exit code 0:
-    equal; 1: it differs, and where first; 2: not to be read.
+    equal; 1: it differs, and where first; 2: not to be read, or no motion in it to compute again.
     """
     from tandem import processes, run_folder
 

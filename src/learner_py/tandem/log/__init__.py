@@ -1,5 +1,6 @@
 """Reads LCM event logs: the one reader of this tree.
 
+files       log.lcm, log.lcm.01 ... as one
 events      where events begin, many at a time; damage and cut-off tails
 index       columns of all events, kept beside a large log
 layout      messages of one shape as numpy records

@@ -12,6 +12,7 @@ import numpy as np
 
 from tandem.log.event_log import EventLog
 from tandem.log.events import HEADER, Array, overlapping
+from tandem.log.files import refuse_leftovers
 
 # What was said once and holds from then on.
 STANDING = ("SCENARIO", "PROVENANCE", "IMPEDANCE_GAINS", "POLICY_ANNOUNCE")
@@ -39,6 +40,7 @@ def merge(logs: Sequence[EventLog], out: Path, by: str = "timestamp") -> int:
 
 def _write(out: Path, logs: Sequence[EventLog], rows: Sequence[Array], order: Array | None) -> int:
     """order: of the concatenated rows. Whole or not at all."""
+    refuse_leftovers(out)
     source = np.repeat(np.arange(len(logs)), [len(r) for r in rows])
     row = np.concatenate(rows)
     if order is not None:

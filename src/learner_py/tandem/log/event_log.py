@@ -65,7 +65,7 @@ class Episodes:
 
 
 class EventLog:
-    """One log for reading. Raises FileNotFoundError with a sentence when there is none."""
+    """One log for reading, all its files. Raises FileNotFoundError with a sentence when there is none."""
 
     def __init__(
         self, path: Path, keep_index: bool = False, progress: Progress = lambda _share: None
@@ -157,36 +157,39 @@ class EventLog:
 
     def _read(self, rows: Array) -> Iterator[tuple[Array, Array, bytes]]:
         """(some of the rows, where their headers lie in the bytes, the bytes); what nobody wants is skipped."""
-        begins = self.index.offset[rows]
+        files, begins = self.index.files, self.index.begins
+        bounds = np.searchsorted(self.index.offset[rows], [*begins, self.index.n_bytes])
+        for file, begin, (first, last) in zip(files, begins, itertools.pairwise(bounds), strict=True):
+            yield from self._read_file(file, begin, rows[first:last])
+
+    def _read_file(self, path: Path, offset: int, rows: Array) -> Iterator[tuple[Array, Array, bytes]]:
+        """offset: of the file's first byte."""
+        begins = self.index.offset[rows] - offset
         ends = self._data_at(rows, begins) + self.index.size[rows]
-        # stretches of the file without anything long that nobody wants
-        apart = np.flatnonzero(begins[1:] - ends[:-1] > _NEAR) + 1
-        first = 0
         pieces: list[bytes] = []
-        at: list[Array] = []
-        held = 0
-        with self.path.open("rb", buffering=0) as file:
-            for begin_row, end_row in itertools.pairwise([0, *apart.tolist(), len(rows)]):
-                i = begin_row
-                while i < end_row:
-                    begin = int(begins[i])
-                    stop = max(i + 1, int(np.searchsorted(ends[:end_row], begin + _BLOCK, side="right")))
-                    wanted = int(ends[stop - 1]) - begin
-                    piece = os.pread(file.fileno(), wanted, begin)
-                    pieces.append(piece)
-                    whole = i + int(np.searchsorted(ends[i:stop], begin + len(piece), side="right"))
-                    at.append(begins[i:whole] - begin + held)
-                    held, i = held + len(piece), stop
-                    cut = len(piece) < wanted  # by its writer meanwhile
-                    if held >= _BLOCK or cut or i == len(rows):
-                        yield (
-                            rows[first:whole],
-                            np.concatenate(at),
-                            pieces[0] if len(pieces) == 1 else b"".join(pieces),
-                        )
-                        first, pieces, at, held = i, [], [], 0
-                    if cut:
-                        return
+        first, held = 0, 0  # row, bytes
+        shift = np.empty(len(rows), np.int64)  # from the file to the pieces
+        with path.open("rb", buffering=0) as file:
+            for i, stop in _stretches(begins, ends):
+                begin = int(begins[i])
+                wanted = int(ends[stop - 1]) - begin
+                piece = os.pread(file.fileno(), wanted, begin)
+                cut = len(piece) < wanted  # by its writer meanwhile
+                if cut:
+                    stop = i + int(np.searchsorted(ends[i:stop], begin + len(piece), side="right"))
+                pieces.append(piece)
+                shift[i:stop] = held - begin
+                held += len(piece)
+                if held >= _BLOCK or cut or stop == len(rows):
+                    part = slice(first, stop)
+                    yield (
+                        rows[part],
+                        begins[part] + shift[part],
+                        pieces[0] if len(pieces) == 1 else b"".join(pieces),
+                    )
+                    first, pieces, held = stop, [], 0
+                if cut:
+                    return
 
     @cached_property
     def episodes(self) -> Episodes:
@@ -220,6 +223,19 @@ class EventLog:
             found = yaml.load(start.scenario_yaml, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
             return found if isinstance(found, dict) else {}
         return {}
+
+
+def _stretches(begins: Array, ends: Array) -> Iterator[tuple[int, int]]:
+    """(first, after the last) of events that are read at once: without anything long between them that nobody wants,
+    and of no more than a block unless one event has more."""
+    apart = np.flatnonzero(begins[1:] - ends[:-1] > _NEAR) + 1
+    for first, last in itertools.pairwise([0, *apart.tolist(), len(begins)]):
+        while first < last:
+            stop = last
+            if ends[last - 1] - begins[first] > _BLOCK:
+                stop = max(first + 1, int(np.searchsorted(ends[:last], begins[first] + _BLOCK, side="right")))
+            yield first, stop
+            first = stop
 
 
 def _row_of(value: Any) -> Array:

@@ -10,11 +10,12 @@ import numpy as np
 
 from tandem.faults import fault_text
 from tandem.log.event_log import EventLog
+from tandem.log.files import missing
 from tandem.log.rates import rates, robot_time_s
 from tandem.statistics import share
 from tandem.wire import CHANNELS
-
 from tandem.words import OUTCOMES, PHASES
+
 _END = (
     *("episode", "phase", "outcome", "fault", "n_steps", "n_intervention_steps", "n_takeovers"),
     *("force_peak", "policy_version"),
@@ -33,6 +34,7 @@ def describe(log: EventLog) -> dict[str, Any]:
     ends = log.columns("EPISODE_END", *_END, rows=log.episodes.last)
     return {
         "file": str(log.path),
+        "files": len(index.files),
         "bytes": index.n_bytes,
         "events": len(index),
         "robot_time_s": robot_time_s(log),
@@ -85,6 +87,7 @@ def _health(log: EventLog, ends: dict[str, np.ndarray]) -> dict[str, Any]:
     status = log.columns("CONTROLLER_STATUS", "overruns", "records_dropped")
     numbers = ends["episode"]
     return {
+        "files_missing": missing(log.path),
         "damaged_regions": len(index.damage),
         "damaged_bytes": index.damaged_bytes,
         "undecodable": undecodable,
@@ -92,4 +95,15 @@ def _health(log: EventLog, ends: dict[str, np.ndarray]) -> dict[str, Any]:
         "overruns": int(status["overruns"].max(initial=0)),
         "records_dropped": int(status["records_dropped"].max(initial=0)),
         "episodes_missing": int((np.diff(numbers) - 1).clip(0).sum()),
+        "episodes_without_motion": _without_motion(log),
     }
+
+
+def _without_motion(log: EventLog) -> int:
+    """Episodes of which only what is learnt from was recorded, in a log that has others."""
+    shown = log.index.rows("WORLD_STATE")
+    if not len(shown):
+        return 0
+    of = log.episodes
+    n_shown = np.searchsorted(shown, of.last, side="right") - np.searchsorted(shown, of.first)
+    return int(((n_shown == 0) & (of.n_steps > 0)).sum())

@@ -3,10 +3,10 @@
     index = read_index(Path("runs/peg/log.lcm"))
     index.rows("EPISODE_END")      # numbers of events, ascending
 
-RUN/log.lcm.index is a safetensors file with the columns and what they were made from. It is believed only as far as
-the log still is what it was: the same size and time of change, the same first bytes. When the log has grown and ends,
-up to where it ended, with the same bytes, the new events are added; else everything is read again. It may be deleted at
-any time.
+RUN/log.lcm.index is a safetensors file with the columns and what they were made from; each file of a log has its own.
+It is believed only as far as the log still is what it was: the same size and time of change, the same first bytes. When
+the log has grown and ends, up to where it ended, with the same bytes, the new events are added; else everything is read
+again. It may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from tandem.log.events import HEADER, Array, blocks, overlapping
+from tandem.log.files import files_of
 from tandem.wire import CHANNELS
 
 VERSION = "1"
@@ -45,7 +46,7 @@ Progress = Callable[[float], None]
 
 @dataclass
 class Index:
-    """One row an event, in the order of the log."""
+    """One row an event, in the order of the log. Bytes are counted through all its files."""
 
     channels: list[str] = field(default_factory=list)
     columns: dict[str, Array] = field(
@@ -54,6 +55,8 @@ class Index:
     damage: list[tuple[int, int]] = field(default_factory=list)  # [begin, end) bytes that are no events
     end: int = 0  # bytes understood; what follows is an event cut off
     n_bytes: int = 0  # of the log when it was read
+    files: list[Path] = field(default_factory=list)
+    begins: list[int] = field(default_factory=list)  # byte at which each file begins
 
     def __len__(self) -> int:
         return len(self.columns["offset"])
@@ -90,20 +93,55 @@ def index_file(log: Path) -> Path:
 
 
 def read_index(log: Path, progress: Progress = lambda _share: None) -> Index:
-    """The index of a log as it is now; writes or refreshes the file beside it when the log is large."""
-    state = log.stat()
-    index = _load(log, state)
-    if index.n_bytes == state.st_size and len(index):
-        return index
-    index = _extend(log, index, state.st_size, progress)
-    if state.st_size >= KEPT_FROM_BYTES:
-        _save(log, index, state)
-    return index
+    """The index of a log as it is now; writes or refreshes the files beside it when the log is large."""
+    files = files_of(log)
+    keep = sum(file.stat().st_size for file in files) >= KEPT_FROM_BYTES
+
+    def part(number: int, file: Path) -> Index:
+        return _read_file(file, keep, lambda share: progress((number + share) / len(files)))
+
+    return _joined(files, [part(number, file) for number, file in enumerate(files)])
 
 
 def scan_log(log: Path) -> Index:
     """The same from the log alone."""
-    return _extend(log, Index(), log.stat().st_size)
+    files = files_of(log)
+    return _joined(files, [_extend(file, Index(), file.stat().st_size) for file in files])
+
+
+def _read_file(file: Path, keep: bool, progress: Progress) -> Index:
+    state = file.stat()
+    index = _load(file, state)
+    if index.n_bytes == state.st_size and len(index):
+        return index
+    index = _extend(file, index, state.st_size, progress)
+    if keep:
+        _save(file, index, state)
+    return index
+
+
+def _joined(files: list[Path], parts: list[Index]) -> Index:
+    """One index of files that follow each other. What is cut off before the last one is damage."""
+    if len(parts) == 1:
+        parts[0].files, parts[0].begins = files, [0]
+        return parts[0]
+    whole = Index(files=files)
+    columns: dict[str, list[Array]] = {name: [] for name in _COLUMNS}
+    for part in parts:
+        begin = whole.n_bytes
+        if whole.end < begin:
+            whole.damage.append((whole.end, begin))
+        whole.channels += [name for name in part.channels if name not in whole.channels]
+        number = np.array([whole.channels.index(name) for name in part.channels] or [0])
+        for name in _COLUMNS:
+            columns[name].append(part.columns[name])
+        columns["offset"][-1] = part.offset + begin
+        columns["channel"][-1] = number[part.channel]
+        whole.damage += [(first + begin, stop + begin) for first, stop in part.damage]
+        whole.end, whole.n_bytes = begin + part.end, begin + part.n_bytes
+        whole.begins.append(begin)
+    whole.columns = {name: np.concatenate(of).astype(_COLUMNS[name]) for name, of in columns.items()}
+    return whole
 
 
 def _extend(log: Path, index: Index, size: int, progress: Progress = lambda _share: None) -> Index:

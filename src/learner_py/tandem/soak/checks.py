@@ -79,12 +79,14 @@ def faults_declared(
     """begun: episodes that the log shows running; halted_by: fault -> times that CONTROLLER_STATUS said so."""
     wrong = []
     of_episode: dict[int, episode_end_t] = {end.episode: end for end in ends}
-    told = Counter(fault.episode for fault in faults)
+    told = Counter(fault.episode for fault in faults if fault.episode >= 0)
     last_begun = max(begun, default=-1)
     for fault in faults:
         end = of_episode.get(fault.episode)
         if not is_declared(fault.fault):
             wrong.append(f"episode {fault.episode} ended by the undeclared fault {fault.fault}")
+        if fault.episode < 0:
+            continue  # none was running
         if end is None:
             wrong.append(f"episode {fault.episode} has a fault but no end")
         elif (end.outcome, end.fault) != (episode_end_t.FAULT, fault.fault):

@@ -209,9 +209,8 @@ class Model:
 
     def _on_fault(self, fault: Any) -> None:
         self.faults.append(fault)
-        self._tell(
-            f"fault in episode {fault.episode}: {fault.sentence or fault_text(fault.fault)}", "bold red"
-        )
+        place = "between episodes" if fault.episode < 0 else f"in episode {fault.episode}"
+        self._tell(f"fault {place}: {fault.sentence or fault_text(fault.fault)}", "bold red")
 
 
 def _sample(data: list[bytes]) -> list[bytes]:

@@ -7,7 +7,7 @@ nobody waits for nothing. In a lockstep log it is the robot's time.
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.learner_status_t import learner_status_t
 
 from tandem.log import RawEvent, raw_events
+from tandem.log.files import files_of
 from tandem.run_folder import RunFolderError, shown
 from tandem.spy.model import Batch
 from tandem.summary import read_progress
@@ -36,45 +37,75 @@ class Recording:
     def __init__(self, path: Path) -> None:
         """@raises ValueError with a sentence when it holds no event."""
         self.path = path
-        self._log = lcm.EventLog(str(path), "r")
-        first = self._log.read_next_event()
+        self._log: Any = None
+        self._open(0)
+        first = self._next()
         if first is None:
-            self._log.close()
+            self.close()
             raise ValueError(
                 f"{shown(path)} holds no whole event; it is no event log, or nothing was written yet."
             )
-        self._first_data = self._log.read_next_event() or first  # SCENARIO is stamped 0 in lockstep
+        self._first_data = self._next() or first  # SCENARIO is stamped 0 in lockstep
         self.begin_us = min(first.timestamp, self._first_data.timestamp)
         self.end_us = self._find_end()
         self.go_to(self.begin_us)
 
+    def _open(self, number: int) -> None:
+        """One of the log's files."""
+        self.close()
+        self._number = number
+        self._log = lcm.EventLog(str(files_of(self.path)[number]), "r")
+
+    def _next(self) -> Any | None:
+        """The next event, of the next file where one ends; None at the end of what was written by now."""
+        while True:
+            position = self._log.tell()
+            event = self._log.read_next_event()
+            if event is not None:
+                return event
+            if self._number + 1 >= len(files_of(self.path)):
+                self._log.seek(position)  # more may be written
+                return None
+            self._open(self._number + 1)
+
     def _find_end(self) -> int:
-        size = self.path.stat().st_size
+        """When the last event was written."""
         last = self._first_data.timestamp
-        if size > TAIL_BYTES:
-            self._log.seek(size - TAIL_BYTES)
-        else:
-            self._log.seek(0)
+        self._open_last(lambda _begin: True)
+        self._seek_tail()
         while (event := self._log.read_next_event()) is not None:
             last = event.timestamp
         return int(last)
 
+    def _seek_tail(self) -> None:
+        size = files_of(self.path)[self._number].stat().st_size
+        self._log.seek(max(0, size - TAIL_BYTES))
+
+    def _open_last(self, wanted: Callable[[int], bool]) -> None:
+        """The last file whose first event was written at a time that is wanted; the first one when there is none."""
+        for number in reversed(range(len(files_of(self.path)))):
+            self._open(number)
+            event = self._log.read_next_event()
+            self._log.seek(0)
+            if event is not None and wanted(event.timestamp):
+                return
+
     def go_to(self, timestamp: int) -> None:
         """The next event is the first that is no older."""
-        if timestamp <= self.begin_us:
-            self._log.seek(0)
-        else:
-            self._log.seek_to_timestamp(timestamp)
+        self._open_last(lambda begin: begin <= timestamp)
+        if self._number or timestamp > self.begin_us:
+            try:
+                self._log.seek_to_timestamp(timestamp)
+            except (OSError, SystemError):  # it lies at the end of this file, or between it and the next one
+                self._seek_tail()
         self._from = timestamp
         self._ahead: RawEvent | None = None
 
     def peek(self) -> RawEvent | None:
         """The next event, None at the end (of what was written by now)."""
         while self._ahead is None:
-            position = self._log.tell()
-            event = self._log.read_next_event()
+            event = self._next()
             if event is None:
-                self._log.seek(position)  # more may be written
                 return None
             if event.timestamp >= self._from:
                 self._ahead = RawEvent(event.eventnum, event.timestamp, event.channel, event.data)
@@ -91,7 +122,8 @@ class Recording:
         return raw_events(self.path)
 
     def close(self) -> None:
-        self._log.close()
+        if self._log is not None:
+            self._log.close()
 
 
 class RecordedSource:

@@ -113,5 +113,6 @@ def _faults(model: Model, robot: Any, status: Any) -> list[tuple[str, Text]]:
     shown = [("fault", text)] if status is not None or robot is not None else []
     for fault in reversed(model.faults):
         what = fault.sentence or fault_text(fault.fault)
-        shown.append(("", Text(f"episode {fault.episode}, tick {fault.tick}: {what}", style="red")))
+        place = "between episodes" if fault.episode < 0 else f"episode {fault.episode}, tick {fault.tick}"
+        shown.append(("", Text(f"{place}: {what}", style="red")))
     return shown

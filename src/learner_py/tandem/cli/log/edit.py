@@ -1,13 +1,16 @@
 """`tandem log cut|merge`."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from tandem.cli.common import fail, sentences
 from tandem.cli.log.common import EpisodesOption, LogArgument, find, opened, selected
 from tandem.cli.log.echo import FromOption, ToOption
+
+if TYPE_CHECKING:
+    from tandem.log import EventLog
 
 OutArgument = Annotated[Path, typer.Argument(metavar="OUT", help="Event log to write.")]
 
@@ -31,7 +34,7 @@ def cut(
     with sentences():
         source = opened(log)
         rows = selected(source, source.index.rows(), episodes, begin_s, end_s)
-        _refuse_itself(out, source.path)
+        _refuse_itself(out, source)
         try:
             n = write_cut(source, rows, out)
         except OSError as error:
@@ -62,7 +65,7 @@ def merge(
     with sentences():
         sources = [EventLog(find(log)) for log in logs]
         for source in sources:
-            _refuse_itself(out, source.path)
+            _refuse_itself(out, source)
         try:
             n = write_merged(sources, out, by)
         except OSError as error:
@@ -79,8 +82,8 @@ def merge(
                 return
 
 
-def _refuse_itself(out: Path, source: Path) -> None:
-    if out.exists() and out.samefile(source):
+def _refuse_itself(out: Path, source: "EventLog") -> None:
+    if out.exists() and any(out.samefile(file) for file in source.index.files):
         fail(f"{out} is the log that is read; give another name.", 2)
     if not out.parent.is_dir():
         fail(f"{out.parent} does not exist; make the folder first.", 2)

@@ -18,8 +18,9 @@ def info(log: LogArgument, json_file: JsonOption = None) -> None:
 
 
 def _lines(value: dict[str, Any]) -> list[str]:
+    files = f" and {value['files'] - 1} files more" if value["files"] > 1 else ""
     lines = [
-        f"{value['file']}: {value['bytes'] / 1e6:.1f} MB, {value['events']} events,"
+        f"{value['file']}{files}: {value['bytes'] / 1e6:.1f} MB, {value['events']} events,"
         f" {value['robot_time_s']:.0f} s of robot time"
     ]
     if scenario := value["scenario"]:
@@ -55,12 +56,19 @@ def _health(value: dict[str, Any]) -> list[str]:
     said = []
     if cut := value["cut_off_bytes"]:
         said.append(f"the last {cut} bytes are an event cut off by a kill; readers leave it out")
+    if names := health["files_missing"]:
+        said.append(f"{', '.join(names)} of its files are missing; what follows them is there")
     if n := health["damaged_regions"]:
         said.append(f"{health['damaged_bytes']} bytes in {n} places are damaged and skipped")
     if n := health["undecodable"]:
         said.append(f"{n} events do not decode as the type of their channel (another version of Tandem?)")
     if n := health["episodes_missing"]:
         said.append(f"{n} episodes are missing between others")
+    if n := health["episodes_without_motion"]:
+        said.append(
+            f"{n} episodes have no motion, only what is learnt from: beyond run.log_quota_mb, or brought in from"
+            " elsewhere"
+        )
     if n := health["records_dropped"]:
         said.append(f"{n} tick records were lost because the recorder was too slow")
     if n := health["overruns"]:

@@ -12,6 +12,7 @@ from tandem.log.check import learning, motion
 from tandem.log.check.findings import KEPT, KINDS, NOTES, Finding, Report
 from tandem.log.check.run import run_of
 from tandem.log.event_log import EventLog
+from tandem.log.files import missing
 from tandem.wire import CHANNELS
 
 __all__ = ["KEPT", "KINDS", "NOTES", "Finding", "Report", "check"]
@@ -35,11 +36,13 @@ def check(log: EventLog) -> Report:
 
 def _file(log: EventLog, report: Report) -> None:
     index = log.index
+    for name in missing(log.path):
+        report.add("damage", f"{name} is missing, and others go on after it.")
     for begin, end in index.damage:
         row = int(np.searchsorted(index.offset, begin))
         place = int(log.episodes.of(np.array([row]))[0])
         episode = log.episodes.number[place] if place < len(log.episodes) else None
-        report.add("damage", f"{end - begin} bytes at byte {begin} of the file are no events.", episode)
+        report.add("damage", f"{end - begin} bytes at byte {begin} of the log are no events.", episode)
     if index.cut_off_bytes:
         report.add(
             "cut_off", f"the last {index.cut_off_bytes} bytes are an event that its writer did not finish."
