@@ -10,7 +10,7 @@
 #include "controller/render/recording.h"
 #include "controller/render/scene_view.h"
 #include "controller/render/video.h"
-#include "controller/robot/hole.h"
+#include "controller/task/task.h"
 
 namespace tandem {
 namespace {
@@ -35,13 +35,16 @@ void render(const Settings& settings) {
                                            ? std::filesystem::path()
                                            : std::filesystem::path(settings.meshes);
   SceneView view(root / recording.scene, meshes, settings.width, settings.height);
-  if (recording.clearance > 0) set_hole_clearance(view.simulation(), recording.clearance);
+  const std::unique_ptr<Task> task =
+      make_task(Section::parse(recording.scenario, settings.log).section("task"));
+  task->attach(view.simulation());
   Video video(settings.video, settings.width, settings.height, settings.fps);
   const double loaded = seconds();
 
   int frames = 0;
   const double step = 1000.0 / settings.fps;  // ticks
   for (const RecordedEpisode& episode : recording.episodes) {
+    task->stage(view.simulation(), episode.seed);
     view.begin(episode);
     const double first = static_cast<double>(episode.moments.front().tick),
                  last = static_cast<double>(episode.moments.back().tick);

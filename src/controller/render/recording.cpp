@@ -29,8 +29,7 @@ void take_scenario(const scenario_t& message, const std::string& path, Recording
   try {
     const YAML::Node task = YAML::Load(message.scenario_yaml)["task"];
     recording.scene = task["scene"].as<std::string>();
-    if (const YAML::Node clearance = task["clearance_m"])
-      recording.clearance = clearance[task["difficulty"].as<std::string>()].as<double>();
+    recording.scenario = message.scenario_yaml;
   } catch (const YAML::Exception& error) {
     throw std::runtime_error(path + ": the scenario in the log names no task.scene (" +
                              error.what() + ").");
@@ -91,6 +90,7 @@ Recording read_recording(const std::string& log_path, int episodes) {
       if (running.objects.empty()) {
         running.X_WG = pose(world.p_WG, world.q_WG);
         running.max_steps = world.max_steps;
+        running.seed = static_cast<uint64_t>(world.episode_seed);
       }
       if (!running.objects.empty() && world.tick <= running.objects.back().tick) continue;
       const Pose X_WE = pose(world.p_WE, world.q_WE), X_WO = pose(world.p_WO, world.q_WO);

@@ -28,6 +28,7 @@ struct RecordedEpisode {
   int64_t number = 0;
   int phase = 0, outcome = 0;  ///< as in episode_end_t
   int n_steps = 0, max_steps = 0;
+  uint64_t seed = 0;
   Pose X_WG;                        ///< goal
   std::vector<Moment> moments;      ///< in order of ticks, at least one
   std::vector<ObjectPose> objects;  ///< one a policy step, at least one
@@ -40,8 +41,8 @@ struct RecordedEpisode {
 
 /// The last `episodes` complete episodes of an LCM event log that the controller wrote.
 struct Recording {
-  std::string scene;       ///< path of the MuJoCo scene, relative to the checkout
-  double clearance = 0.0;  ///< m a side, 0 when the task has none
+  std::string scenario;  ///< YAML
+  std::string scene;     ///< path of the MuJoCo scene, relative to the checkout
   std::vector<RecordedEpisode> episodes;
 };
 

@@ -23,13 +23,14 @@ struct TaskSpec {
   Twist action_limit =
       Twist::Zero();  ///< m, rad per policy step at |action| = 1; 0 for masked axes
   Eigen::Vector3d workspace_low,
-      workspace_high;          ///< m, box that the commanded tool position stays in
-  Pose X_W_origin;             ///< where the tool starts when nothing is random
-  Pose X_HO;                   ///< the object in the grasp's frame, as designed
-  double goal_depth = 0.0;     ///< m, how far the object goes into the goal
-  double grasp_width = 0.0;    ///< m between the finger tips that hold it; 0 = fixed to the hand
-  bool release = false;        ///< success asks for an empty hand
-  double gripper_start = 1.0;  ///< gripper action that an episode begins with: -1 open, 1 closed
+      workspace_high;            ///< m, box that the commanded tool position stays in
+  Pose X_W_origin;               ///< where the tool starts when nothing is random
+  Pose X_HO;                     ///< the object in the grasp's frame, as designed
+  double goal_depth = 0.0;       ///< m, how far the object goes into the goal
+  double insertion_force = 0.0;  ///< N, what the goal resists with until the object is home
+  double grasp_width = 0.0;      ///< m between the finger tips that hold it; 0 = fixed to the hand
+  bool release = false;          ///< success asks for an empty hand
+  double gripper_start = 1.0;    ///< gripper action that an episode begins with: -1 open, 1 closed
 };
 
 /// A task: scene, reset distribution, success test. Adding one touches models/ and one file here.
@@ -43,6 +44,10 @@ class Task {
   /// Looks the scene's parts up and shapes them. Call once, before anything else. @throws
   /// std::runtime_error
   virtual void attach(Simulation& simulation) = 0;
+
+  /// Puts what an episode finds beside arm and object, such as fixtures and lights, by its seed
+  /// alone: whoever draws a recorded episode does it again. Part of reset(). Not real-time.
+  virtual void stage(Simulation&, uint64_t /*episode_seed*/) const {}
 
   /// Draws an episode from its seed and puts arm and scene there. Not real-time. @throws
   /// std::runtime_error

@@ -105,7 +105,7 @@ TEST(Recording, KeepsTheLastCompleteEpisodesAndIgnoresACutOffTail) {
   std::filesystem::resize_file(path, std::filesystem::file_size(path) - 7);
   const Recording recording = read_recording(path, 2);
   EXPECT_EQ(recording.scene, "models/peg/scene.xml");
-  EXPECT_EQ(recording.clearance, 5e-4);
+  EXPECT_EQ(recording.scenario, kScenario);
   ASSERT_EQ(recording.episodes.size(), 2u);
   EXPECT_EQ(recording.episodes[0].number, 1);
   EXPECT_EQ(recording.episodes[1].number, 2);
