@@ -64,6 +64,7 @@ OperatorRules read_rules(Section section) {
   r.force = help.number("force_N", 1.0, 1000.0);
   r.force_steps = static_cast<int>(help.integer("force_steps", 1, 1000));
   r.hurry_steps = static_cast<int>(help.integer("hurry_steps", 0, 10000));
+  r.give_up_steps = static_cast<int>(help.integer("give_up_steps", 1, 10000));
   help.finish();
   Section letgo = section.section("letgo");
   r.hold_steps = static_cast<int>(letgo.integer("hold_steps", 1, 1000));
@@ -89,7 +90,8 @@ teleop_command_t ScriptedOperator::answer(const world_state_t& world) {
   last_.episode_answered = world.episode;
   last_.tick_answered = world.tick;
   last_.engaged = engaged ? 1 : 0;
-  last_.label = teleop_command_t::LABEL_NONE;
+  last_.label =
+      engaged && gives_up(now) ? teleop_command_t::LABEL_FAIL : teleop_command_t::LABEL_NONE;
   last_.operator_id = rules_.name;
   const View seen = expect(world, views_.front());
   last_.device_gripper = grip(world, seen);
@@ -111,7 +113,8 @@ void ScriptedOperator::begin_episode(const world_state_t& world) {
   pause_left_ = stuck_steps_ = 0;
   aligned_ = closing_ = engaged_ = false;
   reason_steps_ = held_steps_ = since_best_ = force_steps_ = 0;
-  best_distance_ = lowest_ = 1e9;
+  best_distance_ = lowest_ = own_best_distance_ = 1e9;
+  since_own_best_ = 0;
 }
 
 ScriptedOperator::View ScriptedOperator::look(const world_state_t& world) const {
@@ -166,6 +169,13 @@ bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
   return lost || away || rough || late;
 }
 
+bool ScriptedOperator::gives_up(const View& now) {
+  const bool nearer = now.distance < own_best_distance_ - rules_.progress_m;
+  if (nearer) own_best_distance_ = now.distance;
+  since_own_best_ = nearer ? 0 : since_own_best_ + 1;
+  return since_own_best_ > rules_.give_up_steps;
+}
+
 bool ScriptedOperator::lets_go(const world_state_t& world, const View& now) const {
   if (held_steps_ < rules_.hold_steps) return false;
   const bool near = distance_at_takeover_ < rules_.near_m + world.goal_depth;
@@ -188,7 +198,8 @@ bool ScriptedOperator::wants_authority(const world_state_t& world, const View& n
   reason_steps_ = has_reason(world, now) ? reason_steps_ + 1 : 0;
   if (reason_steps_ > reaction_steps_) {
     engaged_ = true;
-    held_steps_ = 0;
+    held_steps_ = since_own_best_ = 0;
+    own_best_distance_ = 1e9;
     distance_at_takeover_ = now.distance;
     aligned_ = closing_ = false;
     stuck_steps_ = 0;
@@ -240,7 +251,8 @@ Twist ScriptedOperator::move(const world_state_t& world, const View& seen) {
   } else if (seen.tip.z() < rules_.hover_m) {
     step.z() = std::max(step.z(), -rules_.touch_m);
   }
-  if (world.F_ext_W[2] > rules_.push_force && step.z() < 0.0) step.z() = 0.002;
+  if (world.F_ext_W[2] > rules_.push_force + world.insertion_force && step.z() < 0.0)
+    step.z() = 0.002;
   Twist twist = Twist::Zero();
   const double errors[6] = {step.x(), step.y(), step.z(), 0.0, 0.0, rules_.gain * turn};
   double largest = 1.0;

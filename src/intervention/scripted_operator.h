@@ -21,7 +21,7 @@ struct OperatorRules {
   double reach_hover_m, reach_align_m, reach_align_rad, reach_down_m, grip_m;
   int reaction_steps_low, reaction_steps_high, no_progress_steps;
   double patience_gain, progress_m, away_m, force;
-  int force_steps, hurry_steps;
+  int force_steps, hurry_steps, give_up_steps;
   int hold_steps;
   double recovered_share, seated_m, near_m;
 };
@@ -65,6 +65,8 @@ class ScriptedOperator {
   View expect(const world_state_t& world, View seen) const;
   bool wants_authority(const world_state_t& world, const View& now);
   bool has_reason(const world_state_t& world, const View& now);
+  /// Whether he has long got no nearer himself: lost, jammed or out of his reach.
+  bool gives_up(const View& now);
   bool lets_go(const world_state_t& world, const View& now) const;
   /// What his fingers ask for, [-1, 1]: -1 open, 1 closed.
   double grip(const world_state_t& world, const View& seen);
@@ -90,6 +92,8 @@ class ScriptedOperator {
   bool engaged_ = false;
   int reason_steps_ = 0, held_steps_ = 0, since_best_ = 0, force_steps_ = 0;
   double best_distance_ = 0.0, distance_at_takeover_ = 0.0;
+  double own_best_distance_ = 0.0;  // since he has the arm
+  int since_own_best_ = 0;
 };
 
 }  // namespace tandem

@@ -92,5 +92,34 @@ TEST(ScriptedOperator, TakesOverWhenTheArmPressesTooHard) {
   EXPECT_TRUE(engaged);
 }
 
+TEST(ScriptedOperator, CallsAnEpisodeAFailureThatHeHasLongNotAdvanced) {
+  const OperatorRules r = rules();
+  ScriptedOperator person(r);
+  int gave_up_at = -1;
+  for (int step = 0; step < 200 && gave_up_at < 0; ++step) {
+    // He gets nearer for 20 steps, then no further.
+    const double height = 0.05 - 0.002 * std::min(step, 20);
+    const world_state_t world = world_at({0.0, 0.0, height}, step, world_state_t::DEMONSTRATION);
+    if (person.answer(world).label == teleop_command_t::LABEL_FAIL) gave_up_at = step;
+  }
+  EXPECT_EQ(gave_up_at, 20 + r.give_up_steps + 1);
+}
+
+TEST(ScriptedOperator, PressesOnWhereTheGoalIsSaidToResist) {
+  const OperatorRules r = rules();
+  for (const double resistance : {0.0, 10.0}) {
+    ScriptedOperator person(r);
+    double down = 0.0;
+    for (int step = 0; step < 10; ++step) {
+      world_state_t world = world_at({0.0, 0.0, -0.003}, step, world_state_t::DEMONSTRATION);
+      world.goal_depth = 0.009;
+      world.insertion_force = resistance;
+      world.F_ext_W[2] = r.push_force + 5.0;
+      down -= person.answer(world).device_twist[2];
+    }
+    EXPECT_EQ(down > 0.0, resistance > 5.0) << resistance << " N";
+  }
+}
+
 }  // namespace
 }  // namespace tandem

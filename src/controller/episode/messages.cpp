@@ -80,6 +80,7 @@ world_state_t to_message(const StepSnapshot& snapshot, const TaskSpec& task) {
   put(snapshot.truth.X_WG, m.p_WG, m.q_WG);
   put(snapshot.truth.X_WH, m.p_WH, m.q_WH);
   m.goal_depth = task.goal_depth;
+  m.insertion_force = task.insertion_force;
   m.grasp_width = task.grasp_width;
   m.release = task.release ? 1 : 0;
   put(snapshot.F_ext_W, m.F_ext_W);
