@@ -47,7 +47,8 @@ enum class Purpose : uint64_t {
   operator_episode = 4,
   operator_step = 5,
   robot_faults = 6,
-  policy_noise = 7
+  policy_noise = 7,
+  light = 9
 };
 
 inline Random random_for(uint64_t episode_seed, Purpose purpose, uint64_t index = 0) noexcept {

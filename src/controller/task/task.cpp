@@ -5,6 +5,7 @@
 
 #include "controller/task/peg.h"
 #include "controller/task/square.h"
+#include "controller/task/usb.h"
 
 namespace tandem {
 
@@ -47,10 +48,12 @@ Task::Task(Section& section) {
 }
 
 std::unique_ptr<Task> make_task(Section section) {
-  const std::string name = section.choice("name", {"peg", "square", "square-robosuite"});
+  const std::string name = section.choice("name", {"peg", "square", "square-robosuite", "usb"});
   std::unique_ptr<Task> task;
   if (name == "peg") {
     task = std::make_unique<PegTask>(section);
+  } else if (name == "usb") {
+    task = std::make_unique<UsbTask>(section);
   } else {
     task = std::make_unique<SquareTask>(section);
   }
