@@ -130,6 +130,19 @@ NETWORKS: dict[str, tuple[str, Json, int, int]] = {
         26,
         7,
     ),
+    "encoded mlp": ("encoded", heads.encoded("mlp", heads.mlp(), CAMERAS, CNN, features=5), 6, 4),
+    "encoded flow": (
+        "encoded",
+        heads.encoded("flow", heads.flow(hidden=[33, 17]), CAMERAS[:1], CNN, features=33),
+        18,
+        4,
+    ),
+    "encoded best of 8 flows, edited": (
+        "encoded",
+        heads.encoded("best_of_n", heads.best_of_n([("flow", heads.flow(), 8)]), CAMERAS[1:], CNN, features=16),
+        7,
+        3,
+    ),
     "best of all kinds": (
         "best_of_n",
         heads.best_of_n(
@@ -155,6 +168,7 @@ BFLOAT16 = [
     "act middle",
     "act sees",
     "best of 8 flows, edited",
+    "encoded flow",
 ]
 
 

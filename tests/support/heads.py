@@ -67,6 +67,11 @@ def best_of_n(heads: list[tuple[str, Json, int]], edit: bool = True, **critic: A
     }
 
 
+def encoded(architecture: str, config: Json, cameras: list[Json], backbone: Json, features: int) -> Json:
+    head = {"architecture": architecture, "config": config}
+    return {"cameras": cameras, "backbone": backbone, "features": features, "head": head}
+
+
 def network(
     architecture: str, config: Json, n_observation: int, n_axes: int, seed: int = 0
 ) -> tuple[Any, Any]:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FORMAT = "tandem-policy-1"
+COMPOSED = ("best_of_n", "encoded")  # architectures of several networks
 Array = NDArray[Any]
 
 BFLOAT16 = np.dtype(ml_dtypes.bfloat16)
@@ -113,8 +114,8 @@ def write_policy(
     bfloat16: store the network's matrices so; the golden chunks must then be those of `rounded(params)`.
     Raises PolicyFileError rather than writing a number that is not finite: such a policy must not reach the arm.
     """
-    # the parts of a best of N have names of their own: actor.0, edit, critic.0
-    tensors = named_arrays(params, "" if header.architecture == "best_of_n" else "actor")
+    # the parts of these have names of their own: actor.0, edit, critic.0; encoder
+    tensors = named_arrays(params, "" if header.architecture in COMPOSED else "actor")
     matrices = {name for name, array in tensors.items() if _is_matrix(name, array)}
     tensors |= {"normalizer.mean": mean, "normalizer.scale": scale}
     tensors |= {f"golden.{name}": array for name, array in golden.items()}
@@ -151,7 +152,7 @@ def named_arrays(tree: Any, name: str = "") -> dict[str, Array]:
 def network(tensors: Mapping[str, Array], architecture: str) -> Any:
     """The network in the tensors of a policy file: names back to dicts and lists; the inverse of `named_arrays`."""
     tree: dict[str, Any] = {}
-    prefix = "" if architecture == "best_of_n" else "actor."
+    prefix = "" if architecture in COMPOSED else "actor."
     for name, array in tensors.items():
         if name.startswith(("normalizer.", "golden.")):
             continue

@@ -20,6 +20,9 @@ BestOfNHead::Config BestOfNHead::Config::read(ConfigReader& reader) {
     if (config.heads.back().architecture == "best_of_n") {
       each.refuse("is a best_of_n again; it must be any other architecture.");
     }
+    if (config.heads.back().architecture == "encoded") {
+      each.refuse("is encoded; the encoder goes around the best_of_n, so that all see one image.");
+    }
     samples += config.heads.back().samples;
   }
   if (samples > kMaxSamples) {

@@ -4,6 +4,7 @@
 #include "policy_runtime/file/safetensors.h"
 #include "policy_runtime/policies/act.h"
 #include "policy_runtime/policies/best_of_n.h"
+#include "policy_runtime/policies/encoded.h"
 #include "policy_runtime/policies/flow.h"
 #include "policy_runtime/policies/gaussian.h"
 #include "policy_runtime/policies/mlp.h"
@@ -25,9 +26,11 @@ std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& 
   if (architecture == "act") return std::make_unique<ActHead>(file, std::move(config), spec);
   if (architecture == "best_of_n")
     return std::make_unique<BestOfNHead>(file, std::move(config), spec);
+  if (architecture == "encoded")
+    return std::make_unique<EncodedHead>(file, std::move(config), spec);
   throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
-                    "; this runtime knows mlp, gaussian, flow, act and best_of_n. Train with a "
-                    "method that writes one of these.");
+                    "; this runtime knows mlp, gaussian, flow, act, best_of_n and encoded. Train "
+                    "with a method that writes one of these.");
 }
 
 }  // namespace tandem::policy

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from tandem.learner.networks import HEADS, Array, HeadConfig, Params, best_of_n, cameras
+from tandem.learner.networks import HEADS, Array, HeadConfig, Params, best_of_n, cameras, encoded
 from tandem.learner.networks.mlp import Mlp, features
 
 Floats = NDArray[np.float32]
@@ -49,6 +49,10 @@ def policy_chunk(
     The lead is infinite where no other candidate is another chunk.
     """
     head, x = HEADS[architecture], (observation - mean) * scale
+    if isinstance(config, encoded.Config):
+        encoder, params = encoded.parts(params, config)
+        x = encoded.encode(encoder, config, x, images)
+        head, config = config.head.head, config.head.config
     if not isinstance(config, best_of_n.Config):
         return head.chunk(params, config, x, noise, images), jnp.full(len(x), jnp.inf)
     proposed = best_of_n.candidates(params, config, x, noise, images)
@@ -94,6 +98,7 @@ def golden_examples(
         drawn = generator.normal(size=(EXAMPLES, len(mean))).clip(-RANGE, RANGE)
         observation = (mean + drawn / scale).astype(np.float32)
     n = len(observation)
+    decision = config.head.config if isinstance(config, encoded.Config) else config
     noise_size = HEADS[architecture].noise_size(config, n_axes)
     shapes = {f"image.{camera.name}": (n, camera.height, camera.width, 3) for camera in cameras(config)}
 
@@ -106,8 +111,8 @@ def golden_examples(
         fresh: dict[str, Any] = {"observation": observation}
         if noise_size > 0:
             fresh["noise"] = generator.standard_normal((n, noise_size), np.float32)
-            if attempt >= 40 and isinstance(config, best_of_n.Config):
-                fresh["noise"] = _one_noise_a_head(config, n_axes, fresh["noise"])
+            if attempt >= 40 and isinstance(decision, best_of_n.Config):
+                fresh["noise"] = _one_noise_a_head(decision, n_axes, fresh["noise"])
         fresh |= {name: generator.integers(0, 256, shape, np.uint8) for name, shape in shapes.items()}
         noise = fresh.get("noise", np.zeros((n, 0), np.float32))
         images = {name.removeprefix("image."): fresh[name] for name in shapes}

@@ -6,7 +6,8 @@
     chunk        (params, config, x (B, O) normalised, noise (B, noise_size), images) -> (B, h, A); to be jitted
     imitation_error  (params, config, x, target (B, h, A), key) -> (B, h, A): what imitation makes small (single heads)
 
-The C++ runtime computes the same from a policy file. A new head is a module here and its name in SINGLE_HEADS.
+`encoded` puts an image encoder in front of any of them. The C++ runtime computes the same from a policy file. A new
+head is a module here and its name in SINGLE_HEADS.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from tandem.learner.networks import act, best_of_n
+from tandem.learner.networks import act, best_of_n, encoded
 from tandem.learner.networks.base import Array, HeadConfig, Params
 from tandem.learner.networks.image import Camera
 from tandem.learner.networks.mlp import Mlp, ensemble_values, init_ensemble, init_mlp
@@ -29,13 +30,14 @@ __all__ = [
     "Mlp",
     "Params",
     "cameras",
+    "encoded",
     "ensemble_values",
     "init_ensemble",
     "init_mlp",
     "read_config",
 ]
 
-HEADS: dict[str, ModuleType] = {**best_of_n.SINGLE_HEADS, "best_of_n": best_of_n}
+HEADS: dict[str, ModuleType] = {**encoded.HEADS, "encoded": encoded}
 
 
 def read_config(architecture: str, value: Any) -> Any:
@@ -45,6 +47,8 @@ def read_config(architecture: str, value: Any) -> Any:
 
 def cameras(config: HeadConfig) -> tuple[Camera, ...]:
     """The images that a head looks at; each once, if heads of a best of N share it."""
+    if isinstance(config, encoded.Config):
+        return config.cameras
     if isinstance(config, best_of_n.Config):
         return tuple(dict.fromkeys(camera for part in config.heads for camera in cameras(part.config)))
     return config.cameras if isinstance(config, act.Config) else ()

@@ -126,8 +126,7 @@ def features(params: Params, backbone: Any, x: Array) -> Array:
     """Normalised images (B, H, W, 3) -> (B, H', W', C)."""
     if isinstance(backbone, Cnn):
         for layer, weights in zip(backbone.layers, params, strict=True):
-            x = _convolve(weights["weight"], x, layer.stride) + weights["bias"]
-            x = jax.nn.relu(x)
+            x = jax.nn.relu(_convolve_patches(weights["weight"], x, layer.stride) + weights["bias"])
         return x
     x = jax.nn.relu(_batch_norm(params["bn1"], _convolve(params["conv1"]["weight"], x, 2)))
     # 3 x 3 maximum, stride 2; the border is below everything
@@ -163,6 +162,23 @@ def _convolve(weight: Array, x: Array, stride: int) -> Array:
     return lax.conv_general_dilated(
         x, weight, (stride, stride), [(margin, margin)] * 2, dimension_numbers=("NHWC", "OIHW", "NHWC")
     )
+
+
+def _convolve_patches(weight: Array, x: Array, stride: int) -> Array:
+    """The same as one matrix product over all patches. With few channels XLA's convolution and its gradient take half
+    as long again on a CPU (16 to 32 channels, 64 px, batch 128, one core)."""
+    kernel, (batch, height, width, channels) = weight.shape[-1], x.shape
+    out_height, out_width = (height - 1) // stride + 1, (width - 1) // stride + 1
+    margin = kernel // 2
+    x = jnp.pad(x, ((0, 0), (margin, margin), (margin, margin), (0, 0)))
+    patches = [
+        x[:, i : i + stride * (out_height - 1) + 1 : stride, j : j + stride * (out_width - 1) + 1 : stride]
+        for i in range(kernel)
+        for j in range(kernel)
+    ]
+    rows = jnp.concatenate(patches, axis=3).reshape(-1, kernel * kernel * channels)
+    matrix = weight.transpose(2, 3, 1, 0).reshape(len(rows[0]), -1)
+    return (rows @ matrix).reshape(batch, out_height, out_width, -1)
 
 
 def _batch_norm(params: Params, x: Array) -> Array:
