@@ -48,6 +48,7 @@ enum class Purpose : uint64_t {
   operator_step = 5,
   robot_faults = 6,
   policy_noise = 7,
+  camera = 8,
   light = 9
 };
 

@@ -13,6 +13,7 @@
 #include <sstream>
 #include <tandem/scenario_t.hpp>
 
+#include "controller/camera/camera_worker.h"
 #include "controller/episode/provenance.h"
 #include "controller/loop/run.h"
 #include "controller/loop/scenario.h"
@@ -90,6 +91,11 @@ void write_results(const std::string& path, const std::vector<episode_end_t>& ep
                             {"tick_compute_histogram_us", counts(board.tick_time)},
                             {"wakeup_histogram_us", counts(board.wakeup)},
                             {"policy_latency_ticks_max", board.policy_latency_ticks[1].load()}};
+  if (board.camera_frames > 0) {
+    results["camera"] = {{"frames", board.camera_frames.load()},
+                         {"late", board.camera_late.load()},
+                         {"frame_us", summary(board.camera_time)}};
+  }
   if (counts_allocations()) results["allocations"] = board.allocations.load();
   std::ofstream file(path);
   file << results.dump(1) << "\n";
@@ -129,6 +135,11 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   std::signal(SIGTERM, on_signal);
   std::signal(SIGPIPE, SIG_IGN);
 
+  std::vector<policy::Camera> cameras;
+  if (scenario.run.sees) {
+    const CameraSettings& c = scenario.control.camera;
+    cameras.push_back({c.name, c.height, c.width});
+  }
   policy::PolicySlot slot;
   SpscRing<Record> records(kRecordRing);
   std::unique_ptr<Link> link;
@@ -142,7 +153,8 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
                        .gains = scenario.control.gains},
         task.spec(), board);
     loader = std::make_unique<PolicyLoader>(
-        slot, task, PolicyLoader::Settings{run_folder, scenario.horizon, scenario.run.lockstep},
+        slot, task,
+        PolicyLoader::Settings{run_folder, scenario.horizon, scenario.run.lockstep, cameras},
         [&](const policy_ack_t& ack) {
           link->send(ack);
           board.policies_rejected = loader ? loader->refused_count() : 0;
@@ -151,7 +163,7 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
     link->start();
   }
   if (scenario.run.mode == RunMode::evaluate) {
-    slot.publish(load_policy(scenario.run.policy, "", task, scenario.horizon));
+    slot.publish(load_policy(scenario.run.policy, "", task, scenario.horizon, cameras));
   }
 
   RecorderSinks sinks;
@@ -176,7 +188,18 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   const int64_t steps_before = position.env_steps;
   ControlLoop loop(robot, arm.model, task.spec(), scenario.control, scenario.execution, records);
   const int policy_priority = scenario.run.lockstep ? 0 : scenario.control.realtime.priority / 2;
-  PolicyWorker worker(task, slot, policy_priority);
+  std::unique_ptr<CameraWorker> camera;
+  if (scenario.run.sees) {
+    const std::string channel = scenario.control.camera.channel();
+    camera = std::make_unique<CameraWorker>(
+        arm.simulation, scenario.control.camera, scenario.run.lockstep,
+        [&, channel](std::shared_ptr<const CameraFrame> frame) {
+          recorder.keep(frame);
+          if (link) link->send(std::move(frame), channel);
+        },
+        board);
+  }
+  PolicyWorker worker(task, slot, policy_priority, camera.get());
   Run programme(scenario.run, scenario.control, task, robot, arm.model, loop, worker, link.get(),
                 loader.get(), records, board, std::move(position));
   const int64_t start_us = monotonic_us();

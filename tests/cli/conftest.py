@@ -11,6 +11,7 @@ FAKES = Path(__file__).parent / "fakes"
 
 RUN = """\
 mode: train
+observe: state
 task: peg
 method: tandem
 seed: 0

@@ -122,4 +122,21 @@ teleop_command_t to_message(const HumanCommand& command) {
   return m;
 }
 
+camera_frame_t to_message(const CameraFrame& frame) {
+  camera_frame_t m;
+  m.utime = frame.utime;
+  m.tick = frame.tick;
+  m.episode = frame.episode;
+  m.step = frame.step;
+  m.width = frame.width;
+  m.height = frame.height;
+  m.focal_length = frame.focal_length;
+  m.center[0] = 0.5 * frame.width;
+  m.center[1] = 0.5 * frame.height;
+  put(frame.X_EC, m.p_EC, m.q_EC);
+  m.n_jpeg = static_cast<int32_t>(frame.jpeg.size());
+  m.jpeg = frame.jpeg;
+  return m;
+}
+
 }  // namespace tandem

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <tandem/action_chunk_t.hpp>
+#include <tandem/camera_frame_t.hpp>
 #include <tandem/control_tick_t.hpp>
 #include <tandem/episode_end_t.hpp>
 #include <tandem/robot_state_t.hpp>
@@ -8,6 +9,7 @@
 #include <tandem/world_state_t.hpp>
 #include <vector>
 
+#include "controller/camera/camera_frame.h"
 #include "controller/episode/record.h"
 #include "controller/task/task.h"
 
@@ -19,6 +21,7 @@ control_tick_t to_control_tick(const TickRecord& record, int64_t episode);
 world_state_t to_message(const StepSnapshot& snapshot, const TaskSpec& task);
 action_chunk_t to_message(const ChunkRecord& record, int64_t episode, int64_t utime);
 teleop_command_t to_message(const HumanCommand& command);
+camera_frame_t to_message(const CameraFrame& frame);
 
 /// Encoded bytes of a message.
 template <typename Message>

@@ -48,6 +48,7 @@ struct TickRecord {
 /// one.
 struct ObservationRecord {
   int32_t step = 0;
+  int32_t image_step = -1;  ///< step whose camera frame the policy saw; -1 = none
   std::array<float, kMaxObservation> values{};
 };
 

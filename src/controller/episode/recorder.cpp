@@ -56,6 +56,7 @@ void Recorder::run() {
 void Recorder::take(const EpisodeBegin& begin) {
   episode_ = begin;
   observations_.clear();
+  images_.clear();
   steps_.clear();
   last_ticks_.clear();
   if (!log_) return;
@@ -87,6 +88,24 @@ void Recorder::take(const ObservationRecord& observation) {
   if (observations_.size() <= index) observations_.resize(index + 1);
   observations_[index].assign(observation.values.begin(),
                               observation.values.begin() + observation_size_);
+  images_.resize(observations_.size());
+  if (observation.image_step >= 0) images_[index] = frame_of(observation.image_step);
+}
+
+void Recorder::keep(std::shared_ptr<const CameraFrame> frame) {
+  const std::lock_guard lock(mutex_);
+  frames_.push_back(std::move(frame));
+}
+
+// In real time several observations may have to do with one frame, and some frames are never seen.
+std::shared_ptr<const CameraFrame> Recorder::frame_of(int32_t step) {
+  const std::lock_guard lock(mutex_);
+  const auto is_past = [&](const CameraFrame& frame) {
+    return frame.episode < episode_.episode ||
+           (frame.episode == episode_.episode && frame.step < step);
+  };
+  while (!frames_.empty() && is_past(*frames_.front())) frames_.pop_front();
+  return frames_.empty() ? nullptr : frames_.front();
 }
 
 void Recorder::take(const StepSnapshot& snapshot) {
@@ -148,10 +167,13 @@ void Recorder::take(const FaultRecord& fault) {
 }
 
 FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
-  // A step without its observations on both sides (an aborted one) is not a transition.
-  size_t n_steps = steps_.size();
-  while (n_steps > 0 && (observations_.size() < n_steps + 1 || observations_[n_steps].empty()))
-    --n_steps;
+  // A step without its observations on both sides (an aborted one) is not a transition; nor is one
+  // without its images, when there are any.
+  const bool sees = std::any_of(images_.begin(), images_.end(), [](const auto& i) { return !!i; });
+  size_t whole = 0;  // observations from the first on
+  while (whole < observations_.size() && !observations_[whole].empty() && (!sees || images_[whole]))
+    ++whole;
+  const size_t n_steps = std::min(steps_.size(), whole > 0 ? whole - 1 : 0);
 
   std::vector<double> rewards(n_steps, 0.0);
   if (finish.outcome == Outcome::success && n_steps > 0) rewards.back() = 1.0;
@@ -189,6 +211,10 @@ FinishedEpisode Recorder::assemble(const EpisodeFinish& finish) {
     m.chunk_index = step.chunk_index;
     m.force_peak = static_cast<float>(step.force_peak);
     m.torque_digest = static_cast<int64_t>(step.torque_digest);
+    if (images_[t]) m.image = images_[t]->jpeg;
+    if (last && images_[t + 1]) m.next_image = images_[t + 1]->jpeg;
+    m.n_image = static_cast<int32_t>(m.image.size());
+    m.n_next_image = static_cast<int32_t>(m.next_image.size());
     episode.steps.push_back(encode(m));
     digest.add(episode.steps.back().data(), episode.steps.back().size());
 

@@ -4,6 +4,7 @@
 #include <deque>
 #include <functional>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <tandem/controller_fault_t.hpp>
 #include <tandem/controller_status_t.hpp>
@@ -12,6 +13,7 @@
 #include <vector>
 
 #include "base/spsc_ring.h"
+#include "controller/camera/camera_frame.h"
 #include "controller/episode/event_log.h"
 #include "controller/episode/record.h"
 #include "controller/loop/status_board.h"
@@ -57,6 +59,9 @@ class Recorder {
            const RecorderSettings& settings, RecorderSinks sinks, StatusBoard& board);
   ~Recorder();
 
+  /// Camera thread: a frame, before the record of any observation that was made with it.
+  void keep(std::shared_ptr<const CameraFrame> frame);
+
   /// Writes what is still in the ring and ends the thread.
   void stop();
 
@@ -76,6 +81,7 @@ class Recorder {
   void take(const FaultRecord& fault);
   void take(const EpisodeFinish& finish);
   void take(const PolicyInForce& policy);
+  std::shared_ptr<const CameraFrame> frame_of(int32_t step);
   FinishedEpisode assemble(const EpisodeFinish& finish);
 
   template <typename Message>
@@ -99,9 +105,13 @@ class Recorder {
   bool keeps_motion_ = true;  // of the running episode
   int64_t utime_ = 0;
   std::vector<std::vector<float>> observations_;
+  std::vector<std::shared_ptr<const CameraFrame>> images_;  // of the observations; null without
   std::vector<StepRecord> steps_;
   std::deque<TickRecord> last_ticks_;  // what a fault report carries
   std::vector<episode_end_t> episodes_;
+
+  std::mutex mutex_;
+  std::deque<std::shared_ptr<const CameraFrame>> frames_;  // not yet asked for; guarded by it
 
   StatusBoard& board_;
   std::atomic<bool> stopping_{false};

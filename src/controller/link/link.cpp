@@ -17,6 +17,9 @@ namespace {
 constexpr int64_t kStatusEveryUs = 100'000;
 constexpr int64_t kResendEveryUs = 500'000;
 constexpr int64_t kListenUs = 350'000;  // three status periods of another controller
+// Bytes of a receiver's buffer: what a message takes beside twice its own, and what goes out at
+// once.
+constexpr size_t kMessageCost = 1024, kBurst = 72 * 1024;
 
 }  // namespace
 
@@ -123,6 +126,15 @@ void Link::send(const action_chunk_t& chunk) {
   if (chunks_.size() < 64) chunks_.push_back(chunk);  // for watching only; the log has them all
 }
 
+void Link::send(std::shared_ptr<const CameraFrame> frame, const std::string& channel) {
+  {
+    const std::lock_guard lock(mutex_);
+    if (frames_.size() == 16) frames_.erase(frames_.begin());
+    frames_.emplace_back(channel, std::move(frame));
+  }
+  wake();
+}
+
 void Link::send(const policy_ack_t& ack) {
   {
     const std::lock_guard lock(mutex_);
@@ -169,6 +181,7 @@ void Link::publish_queued() {
   std::vector<action_chunk_t> chunks;
   std::vector<policy_ack_t> acks;
   std::vector<controller_fault_t> faults;
+  decltype(frames_) frames;
   std::unique_ptr<robot_state_t> robot_state;
   std::vector<std::shared_ptr<const FinishedEpisode>> due;
   const int64_t now_us = monotonic_us();
@@ -176,6 +189,7 @@ void Link::publish_queued() {
     const std::lock_guard lock(mutex_);
     chunks.swap(chunks_);
     acks.swap(acks_);
+    frames.swap(frames_);
     faults.swap(faults_);
     robot_state = robot_state_.take(now_us);
     for (auto& [number, pending] : pending_) {
@@ -187,6 +201,10 @@ void Link::publish_queued() {
   }
   if (robot_state) lcm_.publish("ROBOT_STATE", robot_state.get());
   for (const action_chunk_t& chunk : chunks) lcm_.publish("ACTION_CHUNK", &chunk);
+  for (const auto& [channel, frame] : frames) {
+    const camera_frame_t message = to_message(*frame);
+    lcm_.publish(channel, &message);
+  }
   for (const policy_ack_t& ack : acks) lcm_.publish("POLICY_ACK", &ack);
   for (const controller_fault_t& fault : faults) lcm_.publish("CONTROLLER_FAULT", &fault);
   for (const auto& episode : due) publish_episode(*episode, {});
@@ -198,13 +216,17 @@ void Link::publish_episode(const FinishedEpisode& episode, const std::vector<int
   for (const int32_t i : only_steps) {
     if (i >= 0 && static_cast<size_t>(i) < wanted.size()) wanted[static_cast<size_t>(i)] = true;
   }
-  int burst = 0;
+  size_t burst = 0;
   for (size_t i = 0; i < wanted.size(); ++i) {
     if (!wanted[i]) continue;
     const std::vector<uint8_t>& bytes = episode.steps[i];
     lcm_.publish("EPISODE_STEP", bytes.data(), static_cast<unsigned>(bytes.size()));
-    // Default socket buffers hold about 90 such messages: let the receiver keep up.
-    if (++burst % 32 == 0) usleep(500);
+    // Default socket buffers hold about 90 small messages, or 25 with an image: let the receiver
+    // keep up.
+    burst += kMessageCost + 2 * bytes.size();
+    if (burst < kBurst) continue;
+    burst = 0;
+    usleep(500);
   }
   lcm_.publish("EPISODE_END", &episode.end);
 }
@@ -248,6 +270,8 @@ controller_status_t Link::status() const {
   std::copy(board_.policy_latency_ticks.begin(), board_.policy_latency_ticks.end(),
             m.policy_latency_ticks);
   std::copy(board_.limited_ticks.begin(), board_.limited_ticks.end(), m.limited_ticks);
+  m.camera_frames = board_.camera_frames;
+  m.camera_late = board_.camera_late;
   m.records_dropped = board_.records_dropped;
   m.log_bytes = board_.log_bytes;
   m.episodes_without_motion = board_.episodes_without_motion;

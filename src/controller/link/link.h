@@ -74,6 +74,8 @@ class Link {
   void send(const action_chunk_t& chunk);
   void send(const policy_ack_t& ack);
   void send(const controller_fault_t& fault);
+  /// @param channel CAMERA_<NAME>. For watching only: the newest frame is sent.
+  void send(std::shared_ptr<const CameraFrame> frame, const std::string& channel);
 
  private:
   void run();
@@ -115,11 +117,12 @@ class Link {
     int64_t send_at_us = 0;    ///< next resend
     int64_t answer_at_us = 0;  ///< a request is not answered before
   };
-  std::mutex mutex_;  // guards the next six
+  std::mutex mutex_;  // guards the next seven
   std::map<int64_t, Pending> pending_;
   std::vector<action_chunk_t> chunks_;
   std::vector<policy_ack_t> acks_;
   std::vector<controller_fault_t> faults_;
+  std::vector<std::pair<std::string, std::shared_ptr<const CameraFrame>>> frames_;
   Paced<robot_state_t> robot_state_{9'000};  // 100 Hz, which come a little early or late
 
   int64_t next_status_us_ = 0;

@@ -38,11 +38,21 @@ std::string join(const std::vector<std::string>& names) {
   return text;
 }
 
+std::string list(const std::vector<policy::Camera>& cameras) {
+  std::string text;
+  for (const policy::Camera& camera : cameras) {
+    text += (text.empty() ? "" : ", ") + camera.name + " (" + std::to_string(camera.width) + " x " +
+            std::to_string(camera.height) + " px)";
+  }
+  return text.empty() ? "no camera" : text;
+}
+
 }  // namespace
 
 std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
                                                   const std::string& sha256, const Task& task,
-                                                  int horizon) {
+                                                  int horizon,
+                                                  const std::vector<policy::Camera>& cameras) {
   std::error_code error;
   if (!std::filesystem::is_regular_file(path, error) ||
       std::filesystem::file_size(path, error) > kLargestFile) {
@@ -75,11 +85,10 @@ std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
                              "], the task [" + join(task.spec().action_axes) +
                              "]; use the scenario that it was trained with.");
   }
-  if (!policy->cameras().empty()) {
-    throw std::runtime_error(path + ": the policy looks through " +
-                             std::to_string(policy->cameras().size()) + " cameras ('" +
-                             policy->cameras().front().name +
-                             "', ...); the arm has none, announce a policy without images.");
+  if (!policy->cameras().empty() && policy->cameras() != cameras) {
+    throw std::runtime_error(path + ": the policy looks through " + list(policy->cameras()) +
+                             ", the arm has " + list(cameras) +
+                             "; use run.observe and controller.camera as it was trained with.");
   }
   if (header.horizon > kMaxHorizon || (horizon > 0 && header.horizon != horizon)) {
     throw std::runtime_error(path + ": the policy's chunks have " + std::to_string(header.horizon) +
@@ -197,7 +206,8 @@ void PolicyLoader::load(const policy_announce_t& announcement) {
   try {
     const std::filesystem::path path =
         std::filesystem::path(settings_.run_folder) / announcement.path;
-    policy = load_policy(path.string(), announcement.sha256, task_, settings_.horizon);
+    policy = load_policy(path.string(), announcement.sha256, task_, settings_.horizon,
+                         settings_.cameras);
     if (policy->header().version != announcement.version) {
       throw std::runtime_error(path.string() + ": the file holds version " +
                                std::to_string(policy->header().version) + ", announced was " +

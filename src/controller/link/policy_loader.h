@@ -19,11 +19,12 @@ namespace tandem {
 /// Loads and checks a policy for this task: digest, structure, golden examples, observation and
 /// action names, horizon.
 /// @param sha256 expected digest of the file, empty to skip. @param horizon what the scenario says,
-/// 0 to skip.
+/// 0 to skip. @param cameras that the arm has; a policy may look through no others.
 /// @throws std::runtime_error with a sentence
 std::unique_ptr<const policy::Policy> load_policy(const std::string& path,
                                                   const std::string& sha256, const Task& task,
-                                                  int horizon);
+                                                  int horizon,
+                                                  const std::vector<policy::Camera>& cameras = {});
 
 /// The loader thread: turns announcements into policies in the slot, at low priority.
 ///
@@ -36,6 +37,7 @@ class PolicyLoader {
     std::string run_folder;  ///< paths in announcements are relative to it
     int horizon = 0;
     bool lockstep = true;
+    std::vector<policy::Camera> cameras = {};
   };
 
   PolicyLoader(policy::PolicySlot& slot, const Task& task, Settings settings,

@@ -15,6 +15,7 @@ ControlSettings read_control(Section section) {
   settings.robot = read_robot(section.section("robot"));
   settings.faults_in_a_row = static_cast<int>(section.integer("faults_in_a_row", 1, 1000));
   settings.force_filter_hz = section.number("force_filter_hz", 0.5, 400.0);
+  settings.camera = read_camera(section.section("camera"));
   Section realtime = section.section("realtime");
   settings.realtime.priority = static_cast<int>(realtime.integer("priority", 1, 98));
   settings.realtime.core = static_cast<int>(realtime.integer("core", -1, 1023));

@@ -1,5 +1,6 @@
 #pragma once
 
+#include "controller/camera/camera_settings.h"
 #include "controller/chunk/reference_filter.h"
 #include "controller/law/gains.h"
 #include "controller/robot/mujoco_robot.h"
@@ -24,6 +25,7 @@ struct ControlSettings {
   MujocoRobotOptions robot;
   int faults_in_a_row = 5;       ///< episodes in a row that may end in a fault before the run does
   double force_filter_hz = 0.0;  ///< cut-off of the wrench that observation and operator see
+  CameraSettings camera;
   RealtimeSettings realtime;
 };
 

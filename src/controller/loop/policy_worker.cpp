@@ -5,8 +5,9 @@
 
 namespace tandem {
 
-PolicyWorker::PolicyWorker(const Task& task, policy::PolicySlot& slot, int priority)
-    : task_(task), slot_(slot) {
+PolicyWorker::PolicyWorker(const Task& task, policy::PolicySlot& slot, int priority,
+                           CameraWorker* camera)
+    : task_(task), slot_(slot), camera_(camera) {
   for (int axis = 0, output = 0; axis < 7; ++axis) {
     if (task.spec().axes[axis] != 0.0) axis_of_output_[output++] = axis;
   }
@@ -23,6 +24,7 @@ PolicyWorker::~PolicyWorker() {
 }
 
 bool PolicyWorker::ask(const StepSnapshot& snapshot) noexcept {
+  if (camera_ && !camera_->ask(snapshot)) return false;
   const bool taken = questions_.push(snapshot);
   asked_.post();
   return taken;
@@ -36,8 +38,11 @@ void PolicyWorker::run() noexcept {
       if (!answer) break;
       answer->observation.step = snapshot->step;
       task_.observation().write(*snapshot, answer->observation.values.data());
+      const std::shared_ptr<const CameraFrame> frame =
+          camera_ ? camera_->frame(*snapshot) : nullptr;
+      answer->observation.image_step = frame ? frame->step : -1;
       answer->has_chunk = false;
-      if (snapshot->chunk_id >= 0) infer(*snapshot, *answer);
+      if (snapshot->chunk_id >= 0) infer(*snapshot, frame.get(), *answer);
       questions_.pop();
       answers_.publish();
       answered_.post();
@@ -45,11 +50,14 @@ void PolicyWorker::run() noexcept {
   }
 }
 
-void PolicyWorker::infer(const StepSnapshot& snapshot, PolicyAnswer& answer) noexcept {
+void PolicyWorker::infer(const StepSnapshot& snapshot, const CameraFrame* frame,
+                         PolicyAnswer& answer) noexcept {
   policy::PolicySlot::Active* active = slot_.acquire();
   if (!active) return;
   const int64_t start_ns = monotonic_ns();
+  const uint8_t* const images[1] = {frame ? frame->pixels.data() : nullptr};
   const policy::Input input{.observation = answer.observation.values.data(),
+                            .images = frame ? images : nullptr,
                             .seed = random_for(snapshot.episode_seed, Purpose::policy_noise,
                                                static_cast<uint64_t>(snapshot.chunk_id))
                                         .next()};

@@ -5,6 +5,7 @@
 
 #include "base/signal.h"
 #include "base/spsc_ring.h"
+#include "controller/camera/camera_worker.h"
 #include "controller/chunk/chunk.h"
 #include "controller/episode/record.h"
 #include "controller/task/task.h"
@@ -24,7 +25,9 @@ struct PolicyAnswer {
 class PolicyWorker {
  public:
   /// @param priority SCHED_FIFO, below the control thread's; 0 = like any other thread.
-  PolicyWorker(const Task& task, policy::PolicySlot& slot, int priority = 0);
+  /// @param camera what the policy looks through; null: it doesn't.
+  PolicyWorker(const Task& task, policy::PolicySlot& slot, int priority = 0,
+               CameraWorker* camera = nullptr);
   ~PolicyWorker();
 
   /// Control thread, at the start of a step. @returns false when the worker lags by a whole ring.
@@ -39,10 +42,11 @@ class PolicyWorker {
 
  private:
   void run() noexcept;
-  void infer(const StepSnapshot& snapshot, PolicyAnswer& answer) noexcept;
+  void infer(const StepSnapshot& snapshot, const CameraFrame* frame, PolicyAnswer& answer) noexcept;
 
   const Task& task_;
   policy::PolicySlot& slot_;
+  CameraWorker* camera_;
   SpscRing<StepSnapshot> questions_{16};
   SpscRing<PolicyAnswer> answers_{16};
   Signal asked_, answered_;

@@ -101,6 +101,8 @@ void Run::episode() {
   // The motion ends in good order, or has ended by a fault already.
   Fault fault = loop_.fault();
   if (fault == Fault::none) fault = finish_motion();
+  if (!settings_.lockstep)
+    await_answer(last_step_);  // not before: a moving robot can't wait for it
   if (fault != Fault::none) outcome = Outcome::fault;
   if (begin.phase == Phase::demonstration && settings_.mode == RunMode::train &&
       outcome != Outcome::success && outcome != Outcome::fault) {
@@ -234,6 +236,7 @@ Outcome Run::run_steps() {
   }
   // The observation after the last step belongs to it as its next observation.
   StepSnapshot last = loop_.begin_step(task_.truth(robot_.simulation()), utime());
+  last_step_ = last.step;
   start_step(last, true);
   return outcome;
 }

@@ -84,6 +84,7 @@ class Run {
   int32_t policy_version_ = 0;
   bool intervened_ = false;
   int n_steps_ = 0;
+  int32_t last_step_ = 0;
   int faults_in_a_row_ = 0;
   int missed_cycles_ = 0;
 };

@@ -89,7 +89,7 @@ void Run::start_step(StepSnapshot& snapshot, bool last) {
     }
   }
   if (link_ && has_operator() && !last) link_->show_world(snapshot);
-  if (settings_.lockstep || last) await_answer(snapshot.step);
+  if (settings_.lockstep) await_answer(snapshot.step);
   if (settings_.lockstep && has_operator() && !last) await_human(snapshot);
 }
 

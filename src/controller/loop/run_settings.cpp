@@ -23,6 +23,7 @@ RunSettings read_run(Section section) {
                                           : RunMode::bench;
   settings.seed = static_cast<uint64_t>(section.integer("seed", 0, 1'000'000'000));
   settings.lockstep = section.choice("clock", {"lockstep", "realtime"}) == "lockstep";
+  settings.sees = section.choice("observe", {"state", "image"}) == "image";
   settings.demonstrations = static_cast<int>(section.integer("demonstrations", 0, 10'000));
   settings.env_steps = section.integer("env_steps", 1, 1'000'000'000);
   settings.learner_lag = static_cast<int>(section.integer("learner_lag", 0, 100));

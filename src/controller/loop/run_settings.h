@@ -20,9 +20,10 @@ struct RunSettings {
   bool lockstep = true;
   int demonstrations = 0;  ///< successful ones to collect before training
   int64_t env_steps = 0;   ///< training steps until the end
-  int learner_lag = 1;     ///< episodes that the learner may be behind (lockstep)
-  int episodes = 0;        ///< modes evaluate and demonstrate
-  std::string policy;      ///< mode evaluate
+  bool sees = false;    ///< the policy looks through the camera, and is told nothing of the world
+  int learner_lag = 1;  ///< episodes that the learner may be behind (lockstep)
+  int episodes = 0;     ///< modes evaluate and demonstrate
+  std::string policy;   ///< mode evaluate
   int robot_state_hz = 100;
   LogLimits log;
 

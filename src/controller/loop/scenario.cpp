@@ -14,6 +14,7 @@ Scenario read_scenario(Section root) {
   scenario.horizon = static_cast<int>(method.integer("horizon", 1, kMaxHorizon));
   scenario.discount = method.number("discount", 0.0, 1.0);
   scenario.task = make_task(root.section("task"));
+  if (scenario.run.sees) scenario.task->hide_truth();
   scenario.execution = read_execution(method.section("execution"), scenario.horizon,
                                       scenario.task->spec().ticks_per_step);
   method.text("name");

@@ -33,6 +33,9 @@ struct StatusBoard {
   std::array<std::atomic<int64_t>, 6> limited_ticks{};
   std::atomic<int64_t> starved_ticks{0}, allocations{0};
 
+  // Of the camera and policy threads.
+  std::atomic<int64_t> camera_frames{0}, camera_late{0};
+
   // Orders from outside.
   std::atomic<bool> stop{false};     ///< end in order: a signal or a STOP command
   std::atomic<bool> estop{false};    ///< hold the arm now; cleared by recovery
@@ -41,6 +44,7 @@ struct StatusBoard {
   Histogram tick_time;               ///< waking up to torque ready
   Histogram robot_time;              ///< the simulated robot's own cycle
   Histogram wakeup;                  ///< lateness
+  Histogram camera_time{20'000};     ///< one frame, from the scene's state to pixels and JPEG
 
   void wait_for(const std::string& what) {
     const std::lock_guard lock(mutex_);

@@ -60,6 +60,26 @@ Observation::Observation(Section& task, const TaskSpec& spec)
   fine_rad_ = task.number("fine_range_rad", 1e-3, 3.2);
 }
 
+void Observation::hide_truth() {
+  const auto is_truth = [](const std::string& name) {
+    return name.rfind("goal_", 0) == 0 || name.rfind("object_", 0) == 0;
+  };
+  std::vector<std::string> names;
+  std::vector<int> terms;
+  for (size_t i = 0; i < names_.size(); ++i) {
+    if (is_truth(names_[i])) continue;
+    names.push_back(names_[i]);
+    terms.push_back(terms_[i]);
+  }
+  if (names.empty()) {
+    throw ScenarioError(
+        "task.observation names nothing but goal_* and object_*, which run.observe "
+        "image leaves out; it must name something that the arm knows by itself.");
+  }
+  names_ = names;
+  terms_ = terms;
+}
+
 void Observation::write(const StepSnapshot& s, float* out) const noexcept {
   // An estimate: one bias for the episode, one jitter for the step; the goal's are drawn first.
   Random bias = random_for(s.episode_seed, Purpose::observation, ~0ull);

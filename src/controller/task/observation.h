@@ -34,6 +34,10 @@ class Observation {
   /// Reads `observation` (names) and `observation_noise` of the task section. @throws ScenarioError
   Observation(Section& task, const TaskSpec& spec);
 
+  /// Leaves out goal_* and object_*, for a policy that has to see them. @throws ScenarioError when
+  /// nothing is left.
+  void hide_truth();
+
   int size() const noexcept { return static_cast<int>(terms_.size()); }
   const std::vector<std::string>& names() const noexcept { return names_; }
 

@@ -41,6 +41,10 @@ class Task {
   const TaskSpec& spec() const noexcept { return spec_; }
   const Observation& observation() const noexcept { return *observation_; }
 
+  /// Takes from the observation what only a camera could tell; see Observation. Before anything
+  /// else.
+  void hide_truth() { observation_->hide_truth(); }
+
   /// Looks the scene's parts up and shapes them. Call once, before anything else. @throws
   /// std::runtime_error
   virtual void attach(Simulation& simulation) = 0;

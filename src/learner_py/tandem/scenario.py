@@ -87,6 +87,11 @@ class Scenario:
     def run(self) -> dict[str, Any]:
         return self.data["run"]
 
+    @property
+    def observation(self) -> list[str]:
+        """Names of the numbers that the policy sees. A log from before there was a choice observes the state."""
+        return observed(self.run.get("observe", "state"), self.data["task"]["observation"])
+
     def dumps(self) -> str:
         return yaml.dump(
             self.data,
@@ -296,7 +301,11 @@ _RANGES: dict[str, tuple[int, int]] = {
     "robot_state_hz": (0, 1000),
     **dict.fromkeys(LOG_LIMITS, (0, 100_000_000)),
 }
-_CHOICES = {"mode": ("train", "evaluate", "demonstrate", "bench"), "clock": ("lockstep", "realtime")}
+_CHOICES = {
+    "mode": ("train", "evaluate", "demonstrate", "bench"),
+    "clock": ("lockstep", "realtime"),
+    "observe": ("state", "image"),
+}
 _RUN_KEYS = ("task", "method", "seed", "policy", *_CHOICES, *_RANGES)
 
 
@@ -329,6 +338,11 @@ def validate_run(scenario: Scenario) -> None:
     for key in ("task", "method", "policy"):
         if not isinstance(scenario.run[key], str):
             refuse(key, "a text")
+
+
+def observed(observe: str, terms: list[str]) -> list[str]:
+    """Names of the numbers that a policy is told, of task.observation. With images: not what it can see for itself."""
+    return terms if observe == "state" else [t for t in terms if not t.startswith(("goal_", "object_"))]
 
 
 def names(folder: Path) -> list[str]:

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import lcm
 from tandem_lcm.tandem.action_chunk_t import action_chunk_t
+from tandem_lcm.tandem.camera_frame_t import camera_frame_t
 from tandem_lcm.tandem.control_tick_t import control_tick_t
 from tandem_lcm.tandem.controller_command_t import controller_command_t
 from tandem_lcm.tandem.controller_fault_t import controller_fault_t
@@ -56,6 +57,7 @@ CHANNELS: dict[str, type] = {
     "EPISODE_REQUEST": episode_request_t,
     "POLICY_ANNOUNCE": policy_announce_t,
     "POLICY_ACK": policy_ack_t,
+    "CAMERA_WRIST": camera_frame_t,
     "CONTROLLER_STATUS": controller_status_t,
     "CONTROLLER_COMMAND": controller_command_t,
     "CONTROLLER_FAULT": controller_fault_t,

@@ -109,6 +109,63 @@ TEST(Recorder, StepWithoutItsNextObservationIsNotATransition) {
   EXPECT_EQ(episodes.at(1)->end.n_steps, 0);
 }
 
+std::shared_ptr<const CameraFrame> frame(int64_t episode, int32_t step) {
+  auto frame = std::make_shared<CameraFrame>();
+  frame->episode = episode;
+  frame->step = step;
+  frame->jpeg = {static_cast<uint8_t>(episode), static_cast<uint8_t>(step)};
+  return frame;
+}
+
+TEST(Recorder, StepCarriesTheImageThatThePolicySawAndTheLastOneWhatItWouldHaveSeen) {
+  std::vector<std::shared_ptr<const FinishedEpisode>> episodes;
+  SpscRing<Record> ring(512);
+  StatusBoard board;
+  TaskSpec task;
+  RecorderSinks sinks;
+  sinks.episode = [&](auto episode) { episodes.push_back(std::move(episode)); };
+  Recorder recorder(ring, nullptr, task, kObservation, {}, sinks, board);
+  for (int64_t episode = 0; episode < 2; ++episode) {
+    ring.push(EpisodeBegin{.episode = episode});
+    for (int32_t t = 0; t <= 3; ++t) {
+      recorder.keep(frame(episode, t));
+      // The camera was late for step 2, which had to do with the image of step 1.
+      ring.push(ObservationRecord{.step = t, .image_step = t == 2 ? 1 : t});
+      if (t < 3) ring.push(StepRecord{.step = t});
+    }
+    ring.push(EpisodeFinish{.outcome = Outcome::success});
+  }
+  recorder.stop();
+  ASSERT_EQ(episodes.size(), 2u);
+  ASSERT_EQ(episodes[1]->steps.size(), 3u);
+  const uint8_t seen[] = {0, 1, 1};
+  for (uint8_t t = 0; t < 3; ++t) {
+    const episode_step_t step = decode(episodes[1]->steps[t]);
+    EXPECT_EQ(step.image, (std::vector<uint8_t>{1, seen[t]}));
+    const std::vector<uint8_t> next = t == 2 ? std::vector<uint8_t>{1, 3} : std::vector<uint8_t>{};
+    EXPECT_EQ(step.next_image, next);
+  }
+}
+
+TEST(Recorder, StepWithoutAnImageIsNotATransitionWhereOthersHaveOne) {
+  std::vector<std::shared_ptr<const FinishedEpisode>> episodes;
+  SpscRing<Record> ring(512);
+  StatusBoard board;
+  TaskSpec task;
+  RecorderSinks sinks;
+  sinks.episode = [&](auto episode) { episodes.push_back(std::move(episode)); };
+  Recorder recorder(ring, nullptr, task, kObservation, {}, sinks, board);
+  ring.push(EpisodeBegin{.episode = 0});
+  for (int32_t t = 0; t <= 3; ++t) {
+    recorder.keep(frame(0, t));
+    ring.push(ObservationRecord{.step = t, .image_step = t == 2 ? -1 : t});
+    if (t < 3) ring.push(StepRecord{.step = t});
+  }
+  ring.push(EpisodeFinish{.outcome = Outcome::timeout});
+  recorder.stop();
+  EXPECT_EQ(episodes.at(0)->end.n_steps, 1);
+}
+
 class EventLogTest : public ::testing::Test {
  protected:
   std::string path_ = ::testing::TempDir() + "event_log_test_" + std::to_string(getpid()) + ".lcm";

@@ -66,6 +66,16 @@ TEST_F(PolicyLoaderTest, RefusesWhatWasTrainedForSomethingElseWithASentence) {
   EXPECT_NE(refusal(peg_policy(1), 1, "00").find("SHA-256"), std::string::npos);
 }
 
+TEST_F(PolicyLoaderTest, TaskThatIsSeenTakesNoPolicyThatWasToldWhereThingsAre) {
+  const auto told = peg_policy(1);
+  task_->hide_truth();
+  for (const std::string& name : task_->observation().names())
+    EXPECT_EQ(name.find("goal"), std::string::npos);
+  EXPECT_EQ(task_->observation().size(), 18);
+  EXPECT_NE(refusal(told).find("trained on the observation"), std::string::npos);
+  EXPECT_EQ(refusal(peg_policy(1)), "");
+}
+
 TEST_F(PolicyLoaderTest, LockstepPutsExactlyTheAskedPolicyInForce) {
   policy::PolicySlot slot;
   std::atomic<int> acks{0};

@@ -55,10 +55,13 @@ def value_at(message: Any, path: Path) -> Any:
 
 
 def as_dict(message: Any) -> dict[str, Any]:
-    """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it."""
+    """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it; of bytes
+    (an image) there is only how many."""
     message_type: Any = type(message)
-    names, read, fractions = _reader(message_type)
+    names, read, fractions, images = _reader(message_type)
     values = dict(zip(names, read(message), strict=True))
+    for name in images:
+        values[name] = f"{len(values[name])} bytes"
     for name in fractions:
         if values[name] != values[name]:
             del values[name]
@@ -66,11 +69,14 @@ def as_dict(message: Any) -> dict[str, Any]:
 
 
 @cache
-def _reader(message_type: Any) -> tuple[list[str], Callable[[Any], tuple[Any, ...]], list[str]]:
-    """Names of the fields, what reads them all at once, and names of those that are one floating-point number."""
+def _reader(message_type: Any) -> tuple[list[str], Callable[[Any], tuple[Any, ...]], list[str], list[str]]:
+    """Names of the fields, what reads them all at once, names of those that are one floating-point number, and of
+    those that are bytes."""
     names = message_type.__slots__
-    fractions = [m.name for m in members(message_type) if m.kind in ("float", "double") and not m.dimensions]
-    return names, attrgetter(*names), fractions
+    of_type = members(message_type)
+    fractions = [m.name for m in of_type if m.kind in ("float", "double") and not m.dimensions]
+    images = [m.name for m in of_type if m.kind == "byte" and m.dimensions]
+    return names, attrgetter(*names), fractions, images
 
 
 def as_json(value: Any) -> bytes:
