@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from tandem.cli import (
+    bench_camera,
     bench_export,
     bench_handover,
     bench_learner,
@@ -34,6 +35,7 @@ def _group() -> None:
 
 
 app.command("learner")(bench_learner.learner)
+app.command("camera")(bench_camera.camera)
 app.command("handover")(bench_handover.handover)
 app.command("tracking")(bench_tracking.tracking)
 app.command("log")(bench_log.log)
