@@ -17,6 +17,7 @@ import pytest
 from tandem import processes, scenario
 from tandem.log import messages
 from tandem.log.compare import first_difference
+from tandem.policy_file import read_header
 from tandem.run_folder import CONFIG, program
 
 ROOT = Path(__file__).parents[2]
@@ -288,3 +289,63 @@ def _controller_of(run: Path) -> list[int]:
         if words[0].endswith(b"tandem_controller") and any(str(run).encode() in word for word in words):
             found.append(int(entry.parent.name))
     return found
+
+
+@pytest.fixture(scope="module")
+def seeing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that looks through the wrist camera."""
+    run = tmp_path_factory.mktemp("full_loop") / "seeing"
+    done = train(run, "--observe", "image", **SEES)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    return run
+
+
+SEES = {
+    "run.env_steps": 40,
+    "run.evaluation_every": 1000,
+    "method.learner.image.updates_per_env_step": 0.5,
+    "method.learner.image.batch": 32,
+}
+
+
+def test_policy_from_images_is_deployed_and_its_log_holds_all_that_it_learnt_from(
+    seeing: Path, tmp_path: Path
+) -> None:
+    header = read_header(seeing / "policy.safetensors")
+    assert header.architecture == "encoded"
+    assert not any(name.startswith("goal_") for name in header.observation)
+    assert header.config["cameras"] == [{"name": "wrist", "height": 64, "width": 64}]
+    assert json.loads((seeing / "summary.json").read_text())["fresh"]["last"]["episodes"] == 2
+    code, result = replay(seeing)
+    assert code == 0 and result["differences"] == 0, result
+    # the buffer and the policies that the run had, from its log alone
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "tandem",
+            "train",
+            "peg",
+            "--from",
+            str(seeing),
+            "--run",
+            str(tmp_path / "offline"),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=240,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    offline = json.loads((tmp_path / "offline" / "offline.json").read_text())
+    assert offline["buffer_equal"] is True
+    assert offline["policies_equal"] and all(offline["policies_equal"].values())
+
+
+def test_log_with_images_does_not_depend_on_the_machines_load(
+    seeing: Path, tmp_path: Path, busy_machine: None
+) -> None:
+    done = train(tmp_path / "busy", "--observe", "image", **SEES)
+    assert done.returncode == 0, done.stderr[-3000:]
+    _, difference = first_difference(seeing / "log.lcm", tmp_path / "busy" / "log.lcm", ".*")
+    assert difference is None, difference

@@ -104,6 +104,7 @@ SMALL = {
     "critic": {"hidden": [16], "members": 2},
     "improvement": {"edit": SMALL_HEAD},
     "replay": {"batch": 16},
+    "image": {"channels": [4, 4], "features": 5, "shift_px": 2, "batch": 16, "updates_per_env_step": 2},
     "warm_start_updates": 70,
     "updates_per_env_step": 2,
     "checkpoint_every_s": 0,
@@ -115,6 +116,7 @@ def scenario_data(
     demonstrations: int = 2,
     env_steps: int = 40,
     horizon: int | None = None,
+    observe: str = "state",
     **learner: Any,
 ) -> dict[str, Any]:
     """A resolved scenario as a dictionary: small networks unless a test asks otherwise. learner: merged into it."""
@@ -128,13 +130,13 @@ def scenario_data(
     return {
         "run": {
             "mode": "train", "task": "peg", "method": method, "seed": 3, "demonstrations": demonstrations,
-            "env_steps": env_steps, "learner_lag": 1, "evaluation_every": 20,
+            "env_steps": env_steps, "learner_lag": 1, "evaluation_every": 20, "observe": observe,
         },
         "task": {
             "name": "peg", "policy_rate_hz": 10, "max_steps": 30, "observation": ["a", "b", "c"],
             "action_axes": ["x", "rz", "gripper"],
         },
-        "controller": {"gain": 1},
+        "controller": {"camera": {"name": "wrist", "width_px": 16, "height_px": 24}},
         "operator": {"delay": 1},
         "method": section,
     }  # fmt: skip

@@ -55,7 +55,7 @@ def rows_of(method, episodes):
         for name in type(windows[0]).__dataclass_fields__
     }
     rows = jnp.arange(len(arrays["mc_return"]))
-    return method.batch(arrays, rows, jnp.zeros(3), jnp.ones(3))
+    return method.batch(arrays, rows, jnp.zeros(3), jnp.ones(3), jax.random.PRNGKey(0))
 
 
 def learnt(method, batch, monkeypatch, updates=1500):

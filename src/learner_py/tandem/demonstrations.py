@@ -40,11 +40,11 @@ def begin(log: Path, scenario: Scenario, source: Path) -> None:
     """Writes a new log that begins with the demonstrations of another one, as many as the scenario asks for."""
     given = successful(source)[: scenario.run["demonstrations"]]
     task = scenario.data["task"]
-    width = given[0].observation.shape[1] if given else 0
-    if given and width != len(task["observation"]):
+    width, wanted = given[0].observation.shape[1] if given else 0, len(scenario.observation)
+    if given and width != wanted:
         raise RunFolderError(
-            f"{shown(source)} has observations of {width} numbers, and {task['name']} of {len(task['observation'])};"
-            " give demonstrations of the same task."
+            f"{shown(source)} has observations of {width} numbers, and {task['name']} of {wanted};"
+            " give demonstrations of the same task with the same run.observe."
         )
     discount = scenario.data["method"]["discount"]
     write_log(log, scenario, (with_discount(episode, discount) for episode in given))
@@ -74,7 +74,7 @@ def _scenario_message(scenario: Scenario) -> scenario_t:
     message = scenario_t()
     message.scenario_yaml = scenario.dumps()
     message.git_revision = git_revision()
-    message.observation_names = ",".join(scenario.data["task"]["observation"])
+    message.observation_names = ",".join(scenario.observation)
     return message
 
 

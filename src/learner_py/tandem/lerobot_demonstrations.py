@@ -42,7 +42,7 @@ def read(dataset: Path, scenario: Scenario) -> Imported:
             f"{shown(dataset)} has {info['fps']} frames a second, and the policy runs at {rate} Hz; record or resample"
             f" at that rate, or give --set task.policy_rate_hz={info['fps']}."
         )
-    state = _columns(dataset, info, STATE, task["observation"])
+    state = _columns(dataset, info, STATE, scenario.observation)
     action = _columns(dataset, info, ACTION, task["action_axes"])
     told = next((name for name in SUCCESS if name in info["features"]), None)
     episodes: list[Episode] = []

@@ -23,6 +23,11 @@ class Operator(StrEnum):
     none = "none"
 
 
+class Observe(StrEnum):
+    state = "state"
+    image = "image"
+
+
 PERSONS = (Operator.keyboard, Operator.gamepad)
 
 
@@ -39,7 +44,11 @@ def train(
         ),
     ] = None,
     run: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Run folder [default: runs/TASK-METHOD-seedSEED].")
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Run folder [default: runs/TASK-METHOD-seedSEED, with images runs/TASK-METHOD-image-seedSEED].",
+        ),
     ] = None,
     clock: Annotated[
         Clock,
@@ -47,6 +56,13 @@ def train(
             help="lockstep: simulated time, deterministic, as fast as it goes; realtime: 1 kHz wall clock."
         ),
     ] = Clock.lockstep,
+    observe: Annotated[
+        Observe | None,
+        typer.Option(
+            help="What the policy sees. state: the task's observation, poses included; image: what the arm knows by"
+            " itself, and its wrist camera [default: state]."
+        ),
+    ] = None,
     operator: Annotated[
         Operator,
         typer.Option(
@@ -94,10 +110,14 @@ def train(
     if source is not None:
         from tandem.cli.train_from import train_from
 
+        if observe is not None:
+            fail("--observe is what the log was recorded with; leave it out with --from.", 2)
         return train_from(task, source, method, seed, run, fresh, overrides or [])
     method, seed = method or "tandem", seed or 0
     with sentences():
         values: dict[str, Any] = {"mode": "train", "seed": seed, "clock": clock.value}
+        if observe is not None:
+            values["observe"] = observe.value
         if demonstrations is not None:
             from tandem.demonstrations import count
 
@@ -112,7 +132,10 @@ def train(
             )
         if operator in PERSONS and not (sys.stdin.isatty() and sys.stdout.isatty()):
             fail(f"--operator {operator.value} needs a terminal, and stdin or stdout is none.", 2)
-        folder = run or run_folder.default_run(task, method, composed.run["seed"])
+        sees = composed.run["observe"] == "image"
+        folder = run or run_folder.default_run(
+            task, f"{method}-image" if sees else method, composed.run["seed"]
+        )
         settings = supervisor.Settings(
             folder=run_folder.RunFolder(folder.absolute()),
             scenario=composed,

@@ -16,6 +16,7 @@ from tandem_lcm.tandem.scenario_t import scenario_t
 from tandem.learner.episode import PHASE_NAMES, Episode
 from tandem.log import LogMessage, episodes, messages
 from tandem.run_folder import RunFolderError, shown
+from tandem.scenario import observed
 from tandem.summary import read_episodes
 
 _NO_END = 2**62  # of a range such as 3-
@@ -31,7 +32,7 @@ class Source:
 
     @property
     def observation_names(self) -> list[str]:
-        return list(self.scenario["task"]["observation"])
+        return observed(self.scenario["run"].get("observe", "state"), self.scenario["task"]["observation"])
 
     @property
     def policy_rate_hz(self) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from functools import partial
 from typing import NamedTuple
 
@@ -33,6 +32,7 @@ class RowSet(NamedTuple):
 RowSets = dict[str, RowSet]
 
 FIRST_ALLOCATION = 16_384  # rows; a usual run never grows, so it never compiles a second time
+FIRST_ALLOCATION_WITH_IMAGES = 8_192  # 100 MB at 64 px
 _PADDING = 128  # rows; episodes are padded to multiples of it, so that writing compiles rarely
 
 
@@ -46,8 +46,17 @@ class ReplayBuffer:
         self._members = {name: np.zeros(capacity, bool) for name in sets}
         self.rows: RowSets = {}
 
-    def allocate(self, width: int, horizon: int, n_axes: int) -> None:
-        """Makes the first arrays; before that the buffer has no shapes."""
+    def allocate(
+        self,
+        width: int,
+        horizon: int,
+        n_axes: int,
+        image_size: tuple[int, int] | None = None,
+        next_images: bool = False,
+    ) -> None:
+        """Makes the first arrays; before that the buffer has no shapes. Images (height, width) take most of the memory:
+        12 KB a row at 64 px, twice that with next_images."""
+        black = None if image_size is None else np.zeros((1, *image_size, 3), np.uint8)
         one = Windows(
             observation=np.zeros((1, width), np.float32),
             chunk=np.zeros((1, horizon, n_axes), np.float32),
@@ -57,8 +66,11 @@ class ReplayBuffer:
             next_observation=np.zeros((1, width), np.float32),
             n_step_return=np.zeros(1, np.float32),
             bootstrap=np.zeros(1, np.float32),
+            image=black,
+            next_image=black if next_images else None,
         )
-        self._grow_to(min(FIRST_ALLOCATION, self.capacity), one)
+        first = FIRST_ALLOCATION if image_size is None else FIRST_ALLOCATION_WITH_IMAGES
+        self._grow_to(min(first, self.capacity), one)
 
     def add(self, windows: Windows, sets: Mapping[str, Bools]) -> None:
         """Appends an episode. sets: which of its rows (T,) belong to each set."""
@@ -75,9 +87,8 @@ class ReplayBuffer:
         target = np.full(padded, self.allocated, np.int32)  # beyond the end: dropped
         target[:length] = row
         values = {
-            field.name: np.concatenate([array, np.zeros((padded - length, *array.shape[1:]), array.dtype)])
-            for field in fields(Windows)
-            for array in [getattr(windows, field.name)]
+            name: np.concatenate([array, np.zeros((padded - length, *array.shape[1:]), array.dtype)])
+            for name, array in windows.columns().items()
         }
         self.arrays = _write(self.arrays, target, values)
 
@@ -122,11 +133,10 @@ class ReplayBuffer:
 
     def _grow_to(self, allocated: int, like: Windows) -> None:
         grown: Arrays = {}
-        for field in fields(Windows):
-            array = getattr(like, field.name)
-            old = self.arrays.get(field.name)
+        for name, array in like.columns().items():
+            old = self.arrays.get(name)
             new = jnp.zeros((allocated, *array.shape[1:]), array.dtype)
-            grown[field.name] = new if old is None else new.at[: len(old)].set(old)
+            grown[name] = new if old is None else new.at[: len(old)].set(old)
         self.arrays = grown
         self.allocated = allocated
         self._list_rows()

@@ -171,12 +171,24 @@ class Replay(Strict):
     capacity: int = Field(ge=1_000, le=100_000_000)
 
 
+class ImageEncoder(Strict):
+    """With run.observe image: the encoder that actor and critics share, and what images change in the training."""
+
+    channels: Widths
+    features: int = Field(ge=1, le=1024)
+    shift_px: int = Field(ge=0, le=16)
+    actor_teaches: bool
+    batch: int = Field(ge=1, le=65_536)
+    updates_per_env_step: float = Field(ge=0, le=100)
+
+
 class LearnerConfig(Strict):
     head: Head
     critic: Critic
     improvement: Improvement
     decision: Decision
     replay: Replay
+    image: ImageEncoder
     warm_start_updates: int = Field(ge=0, le=1_000_000)
     updates_per_env_step: float = Field(ge=0, le=100)
     updates_per_actor_update: int = Field(ge=1, le=100)
@@ -270,6 +282,7 @@ class RunConfig(Lenient):
     env_steps: int = Field(ge=1)
     learner_lag: int = Field(ge=0)
     evaluation_every: int = Field(ge=1)
+    observe: Literal["state", "image"]
 
 
 class TaskConfig(Lenient):
@@ -290,12 +303,61 @@ class TaskConfig(Lenient):
         return self
 
 
+class CameraConfig(Lenient):
+    name: str
+    width_px: int = Field(ge=16, le=512)
+    height_px: int = Field(ge=16, le=512)
+
+
+class ControllerConfig(Lenient):
+    """What the learner reads of the section `controller`."""
+
+    camera: CameraConfig
+
+
 class LearnerScenario(Lenient):
     """The whole of what the learner needs to know."""
 
     run: RunConfig
     task: TaskConfig
+    controller: ControllerConfig
     method: MethodConfig
+
+    @model_validator(mode="after")
+    def _images_fit(self) -> LearnerScenario:
+        if self.sees and self.method.learner.decision.with_reference:
+            raise ValueError(
+                "method.learner.decision.with_reference is true; with run.observe image it must be false: the reference"
+                " stands still, and the encoder that it looks through goes on learning"
+            )
+        return self
+
+    @property
+    def observation(self) -> list[str]:
+        """Names of the numbers that the policy sees."""
+        return scenario_file.observed(self.run.observe, self.task.observation)
+
+    @property
+    def sees(self) -> bool:
+        """The policy looks through the camera."""
+        return self.run.observe == "image"
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Height and width; None when there are no images."""
+        camera = self.controller.camera
+        return (camera.height_px, camera.width_px) if self.sees else None
+
+    @property
+    def batch(self) -> int:
+        """Rows in a minibatch."""
+        learner = self.method.learner
+        return learner.image.batch if self.sees else learner.replay.batch
+
+    @property
+    def updates_per_env_step(self) -> float:
+        learner = self.method.learner
+        return learner.image.updates_per_env_step if self.sees else learner.updates_per_env_step
 
     @property
     def action_columns(self) -> list[int]:
@@ -308,6 +370,7 @@ class LearnerScenario(Lenient):
             "seed": self.run.seed,
             "demonstrations": self.run.demonstrations,
             "task": self.task.model_dump(),
+            "camera": self.controller.camera.model_dump() if self.sees else None,
             "method": self.method.model_dump(exclude={"learner": {"checkpoint_every_s"}}),
         }
         return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tandem import log
+from tandem.images import Pixels
 from tandem.learner.config import LearnerScenario
 from tandem.learner.episode import Episode
-from tandem.learner.networks import HEADS, read_config
+from tandem.learner.networks import HEADS, cameras, read_config
 from tandem.learner.trainer import Trainer
 from tandem.learner.windows import Windows
 from tandem.policy_file import network, read_header, read_safetensors
@@ -81,10 +82,11 @@ def _returns(trainer: Trainer, held_out: list[Question]) -> dict[str, float]:
     """How well Q predicts what was earned, and what it promises for the actor's own chunks."""
     q = np.concatenate([_scores(trainer, one.windows, one.windows.chunk) for one in held_out])
     earned = np.concatenate([one.windows.mc_return for one in held_out])
-    q_own = np.concatenate(
-        [_scores(trainer, one.windows, trainer.sample(one.windows.observation)) for one in held_out]
-    )
-    members = [trainer.member_scores(one.windows.observation, one.windows.chunk) for one in held_out]
+    q_own = np.concatenate([_scores(trainer, one.windows, _own(trainer, one.windows)) for one in held_out])
+    members = [
+        trainer.member_scores(one.windows.observation, one.windows.chunk, one.windows.image)
+        for one in held_out
+    ]
     error = earned - q
     return {
         "r_squared": float(1.0 - np.mean(error**2) / max(np.var(earned), 1e-12)),
@@ -103,9 +105,10 @@ def _takeovers(trainer: Trainer, held_out: list[Question]) -> dict[str, Any]:
         rows = _after_takeover(one.episode)
         if one.policy is None or not rows.any():
             continue
-        stopped = _chunks(one.policy, one.episode.observation[rows])
+        image = None if one.windows.image is None else one.windows.image[rows]
+        stopped = _chunks(one.policy, one.episode.observation[rows], image)
         human = _scores(trainer, one.windows, one.windows.chunk)[rows]
-        policy = trainer.score(one.episode.observation[rows], stopped)
+        policy = trainer.score(one.episode.observation[rows], stopped, image)
         wins += list(human > policy)
         gaps += list(human - policy)
     return {
@@ -160,7 +163,7 @@ def _policy_before(folder: RunFolder, episode: Episode) -> Path | None:
     return before[-1] if before else None
 
 
-def _chunks(policy: Path, observation: Floats) -> Floats:
+def _chunks(policy: Path, observation: Floats, image: Pixels | None) -> Floats:
     """What a policy file would have done (B, h, A), for one draw of its noise."""
     header, (tensors, _) = read_header(policy), read_safetensors(policy)
     config = read_config(header.architecture, header.config)
@@ -168,8 +171,13 @@ def _chunks(policy: Path, observation: Floats) -> Floats:
     x = (observation - tensors["normalizer.mean"]) * tensors["normalizer.scale"]
     n = head.noise_size(config, len(header.action))
     noise = np.random.default_rng(0).standard_normal((len(x), n)).astype(np.float32)
-    return np.asarray(head.chunk(network(tensors, header.architecture), config, x, noise, {}))
+    images = {} if image is None else {camera.name: image for camera in cameras(config)}
+    return np.asarray(head.chunk(network(tensors, header.architecture), config, x, noise, images))
 
 
 def _scores(trainer: Trainer, windows: Windows, chunk: Floats) -> Floats:
-    return trainer.score(windows.observation, chunk)
+    return trainer.score(windows.observation, chunk, windows.image)
+
+
+def _own(trainer: Trainer, windows: Windows) -> Floats:
+    return trainer.sample(windows.observation, windows.image)

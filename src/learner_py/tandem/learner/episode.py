@@ -57,6 +57,9 @@ class Episode:
     chunk_id: Ints  # (T,)
     chunk_index: Ints  # (T,)
     force_peak: Floats  # (T,) N
+    images: tuple[
+        bytes, ...
+    ] = ()  # (T + 1) JPEG of every observation, the last of the end; none without a camera
 
     @property
     def n_steps(self) -> int:
@@ -101,6 +104,14 @@ class Episode:
             return np.array([getattr(step, name) for step in steps], np.int64)
 
         length, width = len(steps), widths[0] if widths else 0
+        images = tuple(bytes(step.image) for step in steps)
+        if any(images):
+            images += (bytes(steps[-1].next_image),)
+            if not all(images):
+                raise ValueError(
+                    f"Episode {end.episode} lacks the image of observation {images.index(b'')} and has others; "
+                    "the log is incomplete."
+                )
         return Episode(
             number=end.episode,
             end=end,
@@ -119,6 +130,7 @@ class Episode:
             chunk_id=ints("chunk_id"),
             chunk_index=ints("chunk_index"),
             force_peak=floats("force_peak", (length,)),
+            images=images if any(images) else (),
         )
 
     def to_messages(self) -> tuple[list[episode_step_t], episode_end_t]:
@@ -140,7 +152,11 @@ class Episode:
             names = ("intervention", "terminated", "truncated", "policy_version", "chunk_id", "chunk_index")
             for name in names:
                 setattr(step, name, int(getattr(self, name)[t]))
+            if self.images:
+                step.image, step.n_image = self.images[t], len(self.images[t])
             steps.append(step)
+        if self.images:
+            steps[-1].next_image, steps[-1].n_next_image = self.images[-1], len(self.images[-1])
         end = episode_end_t.decode(self.end.encode())
         end.episode, end.n_steps = self.number, self.n_steps
         end.steps_sha256 = steps_digest(step.encode() for step in steps)

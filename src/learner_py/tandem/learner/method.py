@@ -29,6 +29,7 @@ from tandem.learner.networks import (
     Mlp,
     Params,
     best_of_n,
+    encoded,
     ensemble_values,
     init_ensemble,
     init_mlp,
@@ -36,9 +37,9 @@ from tandem.learner.networks import (
 from tandem.learner.networks.mlp import OUTPUT_GAIN
 from tandem.learner.windows import Windows, make_windows
 
-Networks = dict[str, Params]  # by role: actor, critic, value, edit, temperature
+Networks = dict[str, Params]  # by role: actor, critic, value, edit, temperature, encoder
 
-AVERAGED = ("actor", "edit", "critic")
+AVERAGED = ("actor", "edit", "critic", "encoder")
 
 
 class LearnerState(NamedTuple):
@@ -50,6 +51,8 @@ class LearnerState(NamedTuple):
     critic_optimizer: optax.OptState
     actor_optimizer: optax.OptState
     updates: Array  # int32, gradient updates so far
+    encoder: Networks  # the image encoder that actor and critics look through; empty when they don't
+    encoder_optimizer: optax.OptState
 
 
 class Batch(NamedTuple):
@@ -61,6 +64,8 @@ class Batch(NamedTuple):
     next_x: Array  # (B, O)
     n_step_return: Array  # (B,)
     bootstrap: Array  # (B,)
+    image: Array | None = None  # (B, H, W, 3) uint8
+    next_image: Array | None = None  # (B, H, W, 3) uint8
 
 
 @dataclass(frozen=True)
@@ -85,8 +90,29 @@ class Method:
         return len(self.scenario.task.action_axes)
 
     @cached_property
+    def sight(self) -> encoded.Sight | None:
+        """The image encoder; None when the policy does not look through the camera."""
+        if not self.scenario.sees:
+            return None
+        camera, settings = self.scenario.controller.camera, self.config.learner.image
+        first, *rest = settings.channels
+        layers = [{"channels": first, "kernel": 5, "stride": 4}]
+        layers += [{"channels": n, "kernel": 3, "stride": 2} for n in rest]
+        eye = {"name": camera.name, "height": camera.height_px, "width": camera.width_px}
+        return encoded.Sight.model_validate(
+            {"cameras": [eye], "backbone": {"kind": "cnn", "layers": layers}, "features": settings.features}
+        )
+
+    @property
+    def bootstraps(self) -> bool:
+        """The critic asks for the value of what comes after a window."""
+        return self.config.learner.critic.kind in ("td", "iql")
+
+    @cached_property
     def actor(self) -> Actor:
-        observation = self.scenario.task.observation
+        observation = list(self.scenario.observation)
+        if self.sight is not None:
+            observation += [f"image_{i}" for i in range(self.sight.features)]
         return make_actor(self.config.learner.head, self.config.horizon, observation, self.n_axes)
 
     @property
@@ -113,7 +139,11 @@ class Method:
                 generator, [n_obs + n_chunk, *edit.hidden, 2 * n_chunk], edit.layer_norm, OUTPUT_GAIN
             )
             actors["edit"] = {"layers": layers}
-        average = {name: net for name, net in (actors | critics).items() if name in AVERAGED}
+        encoder: Networks = {}
+        if self.sight is not None:
+            encoder["encoder"] = encoded.init_encoder(generator, self.sight)
+        networks = actors | critics | encoder
+        average = {name: net for name, net in networks.items() if name in AVERAGED}
         if learner.decision.with_reference:
             average["reference"] = actors["actor"]
         return LearnerState(
@@ -123,6 +153,8 @@ class Method:
             critic_optimizer=self.critic_optimizer.init(critics),
             actor_optimizer=self.actor_optimizer.init(actors),
             updates=jnp.int32(0),
+            encoder=encoder,
+            encoder_optimizer=self.actor_optimizer.init(encoder) if encoder else (),
         )
 
     @property
@@ -148,6 +180,8 @@ class Method:
             force_cost_per_N=critic.force_cost_per_N if self.has_critic else 0.0,
             bootstrap_steps=critic.td.steps,
             timeout_is_terminal=critic.td.timeout_is_terminal,
+            image_size=self.scenario.image_size,
+            next_images=self.bootstraps,
         )
 
     @property
@@ -182,20 +216,47 @@ class Method:
         online = everything & (not episode.is_demonstration)
         return {"all": everything, "prior": human, "online": online, "imitated": imitated}
 
-    def batch(self, arrays: Arrays, rows: Array, mean: Array, scale: Array) -> Batch:
-        """Gathers buffer rows (B,)."""
+    def batch(self, arrays: Arrays, rows: Array, mean: Array, scale: Array, key: Array) -> Batch:
+        """Gathers buffer rows (B,). key: of the images' shifts."""
+        shift = self.config.learner.image.shift_px
+        images = {
+            name: shifted(arrays[name][rows], jax.random.fold_in(key, i), shift)
+            for i, name in enumerate(("image", "next_image"))
+            if name in arrays
+        }
         names = ("chunk", "valid", "human", "mc_return", "n_step_return", "bootstrap")
         return Batch(
             x=(arrays["observation"][rows] - mean) * scale,
             next_x=(arrays["next_observation"][rows] - mean) * scale,
             **{name: arrays[name][rows] for name in names},
+            **images,
         )
+
+    def see(self, encoder: Networks, x: Array, image: Array | None) -> Array:
+        """Normalised observations (B, O), images (B, H, W, 3) -> what actor and critics see, (B, O + F)."""
+        if self.sight is None:
+            return x
+        assert image is not None, "an encoder needs images"
+        return encoded.encode(encoder["encoder"], self.sight, x, {self.sight.cameras[0].name: image})
+
+    def seen(self, encoder: Networks, batch: Batch) -> Batch:
+        """The batch with its x as actor and critics see it."""
+        return batch._replace(x=self.see(encoder, batch.x, batch.image))
 
     # ---- the policy
 
     @cached_property
     def deployed(self) -> tuple[str, HeadConfig]:
         """Architecture and config of the policy file."""
+        architecture, config = self.decision
+        if self.sight is None:
+            return architecture, config
+        head = {"architecture": architecture, "config": config.model_dump()}
+        return "encoded", encoded.Config.model_validate({**self.sight.model_dump(), "head": head})
+
+    @cached_property
+    def decision(self) -> tuple[str, HeadConfig]:
+        """Architecture and config of what decides: the policy but its encoder."""
         learner, actor = self.config.learner, self.actor
         if learner.decision.kind == "head":
             return actor.architecture, actor.config
@@ -221,6 +282,12 @@ class Method:
 
     def policy(self, networks: Networks) -> Params:
         """The parameters of the deployed policy, of the learner's networks."""
+        _, config = self.deployed
+        if isinstance(config, encoded.Config):
+            return encoded.together(networks["encoder"], config, self._deciding(networks))
+        return self._deciding(networks)
+
+    def _deciding(self, networks: Networks) -> Params:
         if self.config.learner.decision.kind == "head":
             return networks["actor"]
         heads = [networks["actor"]]
@@ -235,9 +302,9 @@ class Method:
         return {"actor": heads, "critic": critics, **edit}
 
     def decide(self, networks: Networks, x: Array, noise: Array) -> Array:
-        """Head and decision: normalised observations (B, O), noise -> the chunks (B, h, A) that the arm executes."""
-        architecture, config = self.deployed
-        return HEADS[architecture].chunk(self.policy(networks), config, x, noise, {})
+        """Head and decision: what they see (B, O or O + F), noise -> the chunks (B, h, A) that the arm executes."""
+        architecture, config = self.decision
+        return HEADS[architecture].chunk(self._deciding(networks), config, x, noise, {})
 
     @property
     def noise_size(self) -> int:
@@ -255,10 +322,11 @@ class Method:
         return state_value(value, x, self.config.learner.critic.activation)
 
     def critic_loss(
-        self, trained: Networks, state: LearnerState, batch: Batch, key: Array
+        self, trained: Networks, encoder: Networks, state: LearnerState, batch: Batch, key: Array
     ) -> tuple[Array, Array]:
         """Loss, and ranking score (B,) of the batch's chunks."""
         settings = self.config.learner.critic
+        batch = self.seen(encoder, batch)
         values = self.values(trained["critic"], batch.x, batch.chunk)
         target = batch.mc_return
         if settings.kind != "mc":
@@ -277,20 +345,22 @@ class Method:
     def _next_value(self, state: LearnerState, batch: Batch, key: Array) -> Array:
         """Value (B,) of the state that a window leads to."""
         settings = self.config.learner.critic
+        next_x = self.see(state.encoder, batch.next_x, batch.next_image)
         if settings.kind == "iql":
-            return self.state_value(state.critics["value"], batch.next_x)
+            return self.state_value(state.critics["value"], next_x)
         key_noise, key_subset = jax.random.split(key)
         # the policy as it is now, its choice and its value by the slow critic
         live: Networks = {name: net for name, net in state.actors.items() if name in state.average}
         networks = {**state.average, **live}
-        noise = jax.random.normal(key_noise, (len(batch.next_x), self.noise_size))
-        chunk = self.decide(networks, batch.next_x, noise)
-        values = self.values(state.average["critic"], batch.next_x, chunk)
+        noise = jax.random.normal(key_noise, (len(next_x), self.noise_size))
+        chunk = self.decide(networks, next_x, noise)
+        values = self.values(state.average["critic"], next_x, chunk)
         return bootstrap_value(values, settings.td.subset, settings.td.aggregate, key_subset)
 
     def actor_loss(
         self,
         trained: Networks,
+        encoder: Networks,
         state: LearnerState,
         batch: Batch,
         q_buffer: Array,
@@ -299,6 +369,9 @@ class Method:
     ) -> tuple[Array, Array]:
         """Loss and policy_wins (B,). warm_start: imitate the batch, the critic is too young to rank."""
         kind = self.config.learner.improvement.kind
+        if not self.config.learner.image.actor_teaches:
+            encoder = lax.stop_gradient(encoder)
+        batch = self.seen(encoder, batch)
         arguments = (self, trained, state.critics, batch, q_buffer, key)
         if kind == "imitate":
             return imitate.loss(*arguments)
@@ -307,8 +380,7 @@ class Method:
     def averages(self, state: LearnerState, networks: Networks, warm_start: Array) -> Networks:
         """The slow copies after an update that made `networks`."""
         learner = self.config.learner
-        bootstraps = learner.critic.kind in ("td", "iql")
-        critic_decay = learner.critic.td.target_decay if bootstraps else learner.ema
+        critic_decay = learner.critic.td.target_decay if self.bootstraps else learner.ema
         average: Networks = {}
         for name, old in state.average.items():
             if name == "reference":
@@ -325,6 +397,18 @@ class Method:
                 jnp.where(warm_start, 0.0, 1.0), state.average["reference"], average["actor"]
             )
         return average
+
+
+def shifted(image: Array, key: Array, most: int) -> Array:
+    """Each image (B, H, W, C) moved by up to `most` pixels up or down and left or right, edges repeated (DrQ)."""
+    if most == 0:
+        return image
+    height, width = image.shape[1:3]
+    offset = jax.random.randint(key, (2, len(image)), -most, most + 1)
+    rows = jnp.clip(jnp.arange(height) + offset[0][:, None], 0, height - 1)  # (B, H)
+    columns = jnp.clip(jnp.arange(width) + offset[1][:, None], 0, width - 1)  # (B, W)
+    image = jnp.take_along_axis(image, rows[:, :, None, None], axis=1)
+    return jnp.take_along_axis(image, columns[:, None, :, None], axis=2)
 
 
 def _mix(decay: Array, old: Params, new: Params) -> Params:

@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from tandem.images import Pixels
 from tandem.learner import checkpoint
 from tandem.learner.buffer import ReplayBuffer
 from tandem.learner.checkpoint import Position
@@ -55,7 +56,11 @@ class Trainer:
         self.normalizer: Normalizer | None = None
         self.buffer = ReplayBuffer(scenario.method.learner.replay.capacity, self.method.row_sets)
         self.buffer.allocate(
-            len(scenario.task.observation), scenario.method.horizon, len(scenario.task.action_axes)
+            len(scenario.observation),
+            scenario.method.horizon,
+            len(scenario.task.action_axes),
+            scenario.image_size,
+            self.method.bootstraps,
         )
         self.n_demonstrations = 0  # ingested, successful
         self.training_steps = 0  # ingested, learnable
@@ -65,8 +70,9 @@ class Trainer:
         self._update = make_update(self.method)
         self._compiled_for = 0  # rows allocated
         self._decide = jax.jit(self.method.decide)
+        self._see = jax.jit(self.method.see)
         if scenario.run.demonstrations == 0:
-            self.normalizer = Normalizer.identity(len(scenario.task.observation))
+            self.normalizer = Normalizer.identity(len(scenario.observation))
 
     @property
     def updates(self) -> int:
@@ -76,13 +82,13 @@ class Trainer:
 
     def ingest(self, episode: Episode) -> None:
         """Puts an episode into the buffer; discarded and faulted ones leave no trace."""
-        expected = len(self.scenario.task.observation)
+        expected = len(self.scenario.observation)
         if not episode.is_learnable:
             return
         if episode.observation.shape[1] != expected:
             raise ValueError(
                 f"Episode {episode.number} has observations of {episode.observation.shape[1]} numbers; "
-                f"task.observation of the scenario names {expected}."
+                f"task.observation of the scenario names {expected} (run.observe {self.scenario.run.observe})."
             )
         if episode.is_training and self.n_demonstrations < self.scenario.run.demonstrations:
             raise ValueError(
@@ -122,7 +128,7 @@ class Trainer:
         if not (episode.is_training and episode.is_learnable):
             return 0
         before = self.training_steps - episode.n_steps
-        ratio = learner.updates_per_env_step
+        ratio = self.scenario.updates_per_env_step
         return int(ratio * self.training_steps) - int(ratio * before)
 
     def _has_data(self) -> bool:
@@ -160,7 +166,7 @@ class Trainer:
     def _run(self, episode: int, start: int, stop: int, warm_start: bool) -> Report:
         if self._compiled_for != self.buffer.allocated and stop > 0:
             self.compile()
-        normalizer = self.normalizer or Normalizer.identity(len(self.scenario.task.observation))
+        normalizer = self.normalizer or Normalizer.identity(len(self.scenario.observation))
         began = time.perf_counter()
         self.state, device_sums = self._update(
             self.state,
@@ -199,30 +205,33 @@ class Trainer:
         for start in range(0, updates, BLOCK):
             self._run(0, start, min(start + BLOCK, updates), False)
 
-    def score(self, observation: Floats, chunk: Floats) -> Floats:
-        """The ensemble's mean (B,) of chunks (B, h, A) at raw observations (B, O); the slow critic's."""
-        assert self.normalizer is not None, "there is no critic before the warm start"
-        return self.member_scores(observation, chunk).mean(axis=0)
+    def score(self, observation: Floats, chunk: Floats, image: Pixels | None = None) -> Floats:
+        """The ensemble's mean (B,) of chunks (B, h, A) at raw observations (B, O) and images; the slow critic's."""
+        return self.member_scores(observation, chunk, image).mean(axis=0)
 
-    def member_scores(self, observation: Floats, chunk: Floats) -> Floats:
+    def member_scores(self, observation: Floats, chunk: Floats, image: Pixels | None = None) -> Floats:
         """The same of each member (M, B)."""
-        assert self.normalizer is not None, "there is no critic before the warm start"
-        x = jnp.asarray(self.normalizer.apply(observation))
+        x = self._seen(observation, image)
         return np.asarray(self.method.values(self.state.average["critic"], x, jnp.asarray(chunk)))
 
-    def sample(self, observation: Floats) -> Floats:
-        """One chunk (B, h, A) of the actor alone at each raw observation (B, O)."""
-        assert self.normalizer is not None, "there is no policy before the warm start"
-        x = jnp.asarray(self.normalizer.apply(observation))
+    def sample(self, observation: Floats, image: Pixels | None = None) -> Floats:
+        """One chunk (B, h, A) of the actor alone at each raw observation (B, O) and image."""
+        x = self._seen(observation, image)
         return np.asarray(self.method.actor.sample(self.state.average["actor"], x, self._key))
+
+    def _seen(self, observation: Floats, image: Pixels | None) -> jax.Array:
+        """Raw observations (B, O), images (B, H, W, 3) -> what the deployed actor and critics see."""
+        assert self.normalizer is not None, "there is neither policy nor critic before the warm start"
+        assert (image is not None) == (self.method.sight is not None), "images belong to an encoder"
+        x = jnp.asarray(self.normalizer.apply(observation))
+        return self._see(self.state.average, x, None if image is None else jnp.asarray(image))
 
     # ---- files
 
-    def act(self, observation: Floats, noise: Floats | None = None) -> Floats:
-        """Raw observations (B, O) -> chunks (B, h, A) of the deployed policy; noise (B, noise_size), default 0."""
-        assert self.normalizer is not None, "there is no policy before the warm start"
+    def act(self, observation: Floats, noise: Floats | None = None, image: Pixels | None = None) -> Floats:
+        """Raw observations (B, O), images -> chunks (B, h, A) of the deployed policy; noise (B, noise_size) or 0."""
         noise = np.zeros((len(observation), self.method.noise_size), np.float32) if noise is None else noise
-        return np.asarray(self._decide(self.state.average, self.normalizer.apply(observation), noise))
+        return np.asarray(self._decide(self.state.average, self._seen(observation, image), noise))
 
     def write_policy(self, path: Path) -> WrittenFile:
         """Writes the deployed policy (the averages) with golden examples."""
@@ -232,7 +241,7 @@ class Trainer:
         header = PolicyHeader(
             architecture=architecture,
             config=network.model_dump(mode="json"),
-            observation=list(task.observation),
+            observation=self.scenario.observation,
             action=list(task.action_axes),
             task=task.name,
             method=config.name,

@@ -40,13 +40,13 @@ def make_update(method: Method) -> Update:
     start .. stop-1. The state is donated: the caller's old one is gone afterwards.
     """
     learner = method.config.learner
-    replay = learner.replay
+    replay, batch_size = learner.replay, method.scenario.batch
 
     def rows_of(sets: RowSets, key: Array) -> Array:
         """Rows (B,) for critic and actor."""
-        drawn, left = [], replay.batch
+        drawn, left = [], batch_size
         for index, (name, share) in enumerate(method.draws.items()):
-            n = left if index == len(method.draws) - 1 else round(share * replay.batch)
+            n = left if index == len(method.draws) - 1 else round(share * batch_size)
             left -= n
             rows = _draw(sets[name], n, jax.random.fold_in(key, index), replay.half_life)
             if name == "online":  # nothing has come yet, in the warm start
@@ -64,38 +64,50 @@ def make_update(method: Method) -> Update:
         warm_start: Array,
     ) -> tuple[LearnerState, Sums]:
         key_rows, key_critic, key_imitated, key_actor = jax.random.split(key, 4)
-        batch = method.batch(arrays, rows_of(sets, key_rows), mean, scale)
+        batch = method.batch(arrays, rows_of(sets, key_rows), mean, scale, key_critic)
 
         # critic and actor step from the same parameters: the critic's forward pass is also the ranking of the buffer
+        encoder_gradients: list[Networks] = []  # of all that look through it
         critics, critic_optimizer = state.critics, state.critic_optimizer
-        critic_loss, q_buffer = jnp.float32(jnp.nan), jnp.zeros(replay.batch)
+        critic_loss, q_buffer = jnp.float32(jnp.nan), jnp.zeros(batch_size)
         if method.has_critic:
-            (critic_loss, q_buffer), gradient = jax.value_and_grad(method.critic_loss, has_aux=True)(
-                state.critics, state, batch, key_critic
+            loss_of = jax.value_and_grad(method.critic_loss, argnums=(0, 1), has_aux=True)
+            (critic_loss, q_buffer), (gradient, of_encoder) = loss_of(
+                state.critics, state.encoder, state, batch, key_critic
             )
+            encoder_gradients.append(of_encoder)
             step, critic_optimizer = method.critic_optimizer.update(gradient, critic_optimizer, critics)
             critics = optax.apply_updates(critics, step)
 
         if method.imitates_other_rows:
-            rows = _draw(sets["imitated"], replay.batch, key_imitated, replay.half_life)
-            batch = method.batch(arrays, rows, mean, scale)
-            q_buffer = mean_score(state.critics["critic"], batch.x, batch.chunk, learner.critic.activation)
+            rows = _draw(sets["imitated"], batch_size, key_imitated, replay.half_life)
+            batch = method.batch(arrays, rows, mean, scale, key_imitated)
+            x = method.seen(state.encoder, batch).x
+            q_buffer = mean_score(state.critics["critic"], x, batch.chunk, learner.critic.activation)
 
-        def improve() -> tuple[Networks, optax.OptState, Array, Array]:
-            (loss, wins), gradient = jax.value_and_grad(method.actor_loss, has_aux=True)(
-                state.actors, state, batch, q_buffer, key_actor, warm_start
+        def improve() -> tuple[Networks, optax.OptState, Networks, Array, Array]:
+            loss_of = jax.value_and_grad(method.actor_loss, argnums=(0, 1), has_aux=True)
+            (loss, wins), (gradient, of_encoder) = loss_of(
+                state.actors, state.encoder, state, batch, q_buffer, key_actor, warm_start
             )
             step, actor_optimizer = method.actor_optimizer.update(gradient, state.actor_optimizer)
-            return optax.apply_updates(state.actors, step), actor_optimizer, loss, wins
+            return optax.apply_updates(state.actors, step), actor_optimizer, of_encoder, loss, wins
 
-        def rest() -> tuple[Networks, optax.OptState, Array, Array]:
-            return state.actors, state.actor_optimizer, jnp.float32(0), jnp.zeros(replay.batch, bool)
+        def rest() -> tuple[Networks, optax.OptState, Networks, Array, Array]:
+            nothing = jax.tree.map(jnp.zeros_like, state.encoder)
+            return state.actors, state.actor_optimizer, nothing, jnp.float32(0), jnp.zeros(batch_size, bool)
 
         every = learner.updates_per_actor_update
         is_due = (state.updates % every == every - 1) | warm_start
-        actors, actor_optimizer, actor_loss, wins = (
+        actors, actor_optimizer, of_encoder, actor_loss, wins = (
             improve() if every == 1 else lax.cond(is_due, improve, rest)
         )
+
+        encoder, encoder_optimizer = state.encoder, state.encoder_optimizer
+        if method.sight is not None:
+            gradient = jax.tree.map(lambda *parts: sum(parts), *encoder_gradients, of_encoder)
+            step, encoder_optimizer = method.actor_optimizer.update(gradient, encoder_optimizer)
+            encoder = optax.apply_updates(encoder, step)
 
         human = batch.human[:, 0]
         counted = jnp.float32(1) if every == 1 else is_due.astype(jnp.float32)
@@ -108,8 +120,17 @@ def make_update(method: Method) -> Update:
             "human_wins": (wins & human).sum(dtype=jnp.float32),
             "autonomous_wins": (wins & ~human).sum(dtype=jnp.float32),
         }
-        average = method.averages(state, {**actors, **critics}, warm_start)
-        new = LearnerState(critics, actors, average, critic_optimizer, actor_optimizer, state.updates + 1)
+        average = method.averages(state, {**actors, **critics, **encoder}, warm_start)
+        new = LearnerState(
+            critics,
+            actors,
+            average,
+            critic_optimizer,
+            actor_optimizer,
+            state.updates + 1,
+            encoder,
+            encoder_optimizer,
+        )
         return new, sums
 
     def update(

@@ -14,10 +14,11 @@ A window never reaches into another episode, because it is cut out of one.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from tandem.images import Pixels, decode_all
 from tandem.learner.episode import ACTION_AXES, Bools, Episode, Floats
 
 GRIPPER = ACTION_AXES.index("gripper")
@@ -37,6 +38,12 @@ class Windows:
     next_observation: Floats  # (T, O) raw, after the last valid of the n steps
     n_step_return: Floats  # (T,) R
     bootstrap: Floats  # (T,) b
+    image: Pixels | None = None  # (T, H, W, 3) RGB; None without a camera
+    next_image: Pixels | None = None  # (T, H, W, 3) of next_observation; None when nothing bootstraps
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """What there is of them, by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) is not None}
 
 
 def make_windows(
@@ -49,12 +56,16 @@ def make_windows(
     force_cost_per_N: float = 0.0,
     bootstrap_steps: int = 1,
     timeout_is_terminal: bool = False,
+    image_size: tuple[int, int] | None = None,
+    next_images: bool = False,
 ) -> Windows:
     """Cuts a learnable episode into windows. `columns`: the active axes among the 7 numbers of an action.
 
     cut_return_at_intervention: autonomous steps that a human takeover follows later in the episode earn nothing (the
     rescue counts as failure of what came before); human steps, and autonomous ones after the last takeover, keep G.
     force_cost_per_N: what each newton costs by which a step's largest contact force exceeds force_free_N.
+    image_size: height and width of the images, None when they are not looked at; next_images: those of
+    next_observation too.
     bootstrap_steps: n. timeout_is_terminal: b is 0 after a time-out too, as in HIL-SERL.
     """
     if not episode.is_learnable:
@@ -78,6 +89,7 @@ def make_windows(
     over = episode.terminated[ends - 1] | (episode.truncated[ends - 1] & timeout_is_terminal)
     decay = discount ** (ends - np.arange(length))
     net = np.append(earned - paid, 0.0)
+    pixels = None if image_size is None else _pixels(episode, image_size)
     return Windows(
         observation=episode.observation,
         chunk=chunk,
@@ -87,7 +99,24 @@ def make_windows(
         next_observation=episode.next_observation[ends - 1],
         n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
+        image=None if pixels is None else pixels[:-1],
+        next_image=None if pixels is None or not next_images else pixels[ends],
     )
+
+
+def _pixels(episode: Episode, size: tuple[int, int]) -> Pixels:
+    """(T + 1, H, W, 3)"""
+    if not episode.images:
+        raise ValueError(
+            f"Episode {episode.number} has no images; it was recorded without run.observe image, and this run has it."
+        )
+    pixels = decode_all(episode.images)
+    if pixels.shape[1:3] != size:
+        raise ValueError(
+            f"Episode {episode.number} has images of {pixels.shape[2]} x {pixels.shape[1]} px;"
+            f" controller.camera of the scenario says {size[1]} x {size[0]}."
+        )
+    return pixels
 
 
 def executed_chunks(episode: Episode, columns: Sequence[int], horizon: int) -> tuple[Floats, Bools]:

@@ -45,17 +45,27 @@ def values(policy: Path, episode: Episode, chunk_step: Array, chunk: Array) -> V
     """
     import jax.numpy as jnp
 
-    from tandem.learner.networks import best_of_n, read_config
+    from tandem.images import decode_all
+    from tandem.learner.networks import best_of_n, encoded, read_config
     from tandem.learner.windows import executed_chunks
     from tandem.policy_file import network, read_header, read_safetensors
 
     header, (tensors, _) = read_header(policy), read_safetensors(policy)
-    if header.architecture != "best_of_n":
+    if header.architecture not in ("best_of_n", "encoded"):
         return None
-    config = read_config(header.architecture, header.config)
-    critic = best_of_n.stacked(network(tensors, header.architecture)["critic"])
-    columns = [ACTION_AXES.index(axis) for axis in header.action]
+    config, params = read_config(header.architecture, header.config), network(tensors, header.architecture)
     x = (episode.observation - tensors["normalizer.mean"]) * tensors["normalizer.scale"]
+    if isinstance(config, encoded.Config):
+        if not episode.images:
+            return None  # recorded without the camera
+        encoder, params = encoded.parts(params, config)
+        images = {config.cameras[0].name: jnp.asarray(decode_all(episode.images[:-1]))}
+        x = np.asarray(encoded.encode(encoder, config, jnp.asarray(x), images))
+        config = config.head.config
+    if not isinstance(config, best_of_n.Config):
+        return None
+    critic = best_of_n.stacked(params["critic"])
+    columns = [ACTION_AXES.index(axis) for axis in header.action]
     executed, _ = executed_chunks(episode, columns, config.horizon)
 
     def q(rows: Array, chunks: Array) -> Floats:
