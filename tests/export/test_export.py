@@ -1,5 +1,6 @@
 """What `./tandem export` writes, opened by the programs that it is for, and compared with the log value by value."""
 
+import base64
 import json
 import subprocess
 from pathlib import Path
@@ -14,7 +15,10 @@ import rerun as rr
 from mcap.reader import make_reader
 from rerun.chunk import RrdReader
 from small_run import invoke
+from tandem_lcm.tandem.episode_step_t import episode_step_t
 
+from tandem.export import mcap
+from tandem.export.message import as_json, json_schema
 from tandem.export.source import Source
 from tandem.learner.episode import ACTION_AXES, Episode
 from tandem.log import messages
@@ -97,6 +101,20 @@ def test_full_data_files_are_followed_by_others(
 
 
 # ---- MCAP
+
+
+def test_image_of_a_step_is_base64_in_json_and_for_foxglove() -> None:
+    step = episode_step_t()
+    step.image, step.n_image = (
+        bytes(range(256)),
+        256,
+    )  # among them what standard and URL-safe base64 write differently
+    value = json.loads(as_json(step))
+    assert base64.b64decode(value["image"], validate=True) == step.image and value["next_image"] == ""
+    jsonschema.validate(value, json_schema("episode_step_t"))
+    seen = json.loads(mcap._image(step.image, 1_500_000_000))
+    assert base64.b64decode(seen["data"], validate=True) == step.image
+    assert seen["timestamp"] == {"sec": 1, "nsec": 500_000_000} and seen["format"] == "jpeg"
 
 
 def test_mcaps_reader_gives_every_message_and_its_schema_holds(run: RunFolder, tmp_path: Path) -> None:

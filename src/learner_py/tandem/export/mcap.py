@@ -1,11 +1,13 @@
 """MCAP: every message as JSON with a schema, for Foxglove, PlotJuggler and mcap's own tools.
 
 Beside the channels of the log, `tf` holds the poses of tool, reference, object and goal as foxglove.FrameTransforms,
-which Foxglove's 3D panel draws. The scenario lies in the file as an attachment.
+which Foxglove's 3D panel draws, and `camera` the images that the policy saw as foxglove.CompressedImage. The scenario
+lies in the file as an attachment.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 from typing import Any
@@ -56,6 +58,18 @@ FRAME_TRANSFORMS = {
     },
 }
 
+# https://docs.foxglove.dev/docs/sdk/schemas/compressed-image
+COMPRESSED_IMAGE = {
+    "title": "foxglove.CompressedImage",
+    "type": "object",
+    "properties": {
+        "timestamp": {"title": "time", **_of("sec nsec", "integer")},
+        "frame_id": {"type": "string"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+        "format": {"type": "string"},
+    },
+}
+
 
 def write(source: Source, path: Path) -> dict[str, int]:
     with whole_or_not_at_all(path) as partial, partial.open("wb") as file:
@@ -78,6 +92,13 @@ def write(source: Source, path: Path) -> dict[str, int]:
                 data=as_json(event.message),
             )
             n_messages += 1
+            if event.channel == "EPISODE_STEP" and event.message.n_image:
+                if "camera" not in channels:
+                    name = "foxglove.CompressedImage"
+                    channels["camera"] = _register(writer, "camera", name, COMPRESSED_IMAGE)
+                time = 1000 * event.message.utime  # when it was seen, not when the episode was over
+                data = _image(event.message.image, time)
+                writer.add_message(channel_id=channels["camera"], log_time=time, publish_time=time, data=data)
             if poses := POSES.get(event.channel):
                 if "tf" not in channels:
                     channels["tf"] = _register(writer, "tf", "foxglove.FrameTransforms", FRAME_TRANSFORMS)
@@ -99,6 +120,12 @@ def _add_origin(writer: Writer, source: Source) -> None:
     writer.add_metadata("tandem", facts | {"git_revision": source.made_from.git_revision})
     text = source.made_from.scenario_yaml.encode()
     writer.add_attachment(0, 0, "scenario.yaml", "application/yaml", text)
+
+
+def _image(jpeg: bytes, time: int) -> bytes:
+    stamp = {"sec": time // 10**9, "nsec": time % 10**9}
+    data = base64.b64encode(jpeg).decode()
+    return to_json({"timestamp": stamp, "frame_id": "wrist", "data": data, "format": "jpeg"})
 
 
 def _transforms(message: Any, time: int, poses: list[tuple[str, str, str]]) -> bytes:

@@ -32,6 +32,8 @@ def json_schema(name: str) -> dict[str, Any]:
     for field, kind, dimensions in members(message_type):
         primitive = JSON_TYPES.get(kind)
         schema = {"type": primitive} if primitive else dict(json_schema(kind.rpartition(".")[2]))
+        if kind == "byte":
+            schema, dimensions = {"type": "string", "contentEncoding": "base64"}, ()
         for size in reversed(dimensions):
             schema = {"type": "array", "items": schema}
             if isinstance(size, int):

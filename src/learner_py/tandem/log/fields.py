@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import difflib
 import re
 from collections.abc import Callable
@@ -55,13 +56,13 @@ def value_at(message: Any, path: Path) -> Any:
 
 
 def as_dict(message: Any) -> dict[str, Any]:
-    """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it; of bytes
-    (an image) there is only how many."""
+    """Fields by name. A number that is none (NaN: nothing to average) is left out, JSON has no word for it; bytes
+    (an image) are base64."""
     message_type: Any = type(message)
     names, read, fractions, images = _reader(message_type)
     values = dict(zip(names, read(message), strict=True))
     for name in images:
-        values[name] = f"{len(values[name])} bytes"
+        values[name] = base64.b64encode(values[name]).decode()
     for name in fractions:
         if values[name] != values[name]:
             del values[name]
