@@ -91,4 +91,6 @@ def text_of(value: Any) -> str:
         return "{" + ", ".join(f"{name}={text_of(getattr(value, name))}" for name in names) + "}"
     if isinstance(value, list | tuple):
         return "[" + " ".join(text_of(item) for item in value) + "]"
+    if isinstance(value, bytes):
+        return f"{len(value)} bytes"  # an image; nobody reads its numbers
     return f"{value:.6g}" if isinstance(value, float) else str(value)
