@@ -11,7 +11,6 @@ FAKES = Path(__file__).parent / "fakes"
 
 RUN = """\
 mode: train
-observe: state
 task: peg
 method: tandem
 seed: 0
@@ -28,6 +27,7 @@ policy: ""
 robot_state_hz: 100
 log_file_mb: 0
 log_quota_mb: 0
+observe: state
 """
 TASK = """\
 # a task

@@ -99,7 +99,7 @@ def test_unknown_names_are_refused_with_the_nearest(config: Path) -> None:
         compose(config, "peg", "tandm", {})
     (config / "run.yaml").write_text((config / "run.yaml").read_text() + "learner_lagg: 2\n")
     assert (
-        refusal(config) == "config/run.yaml:18: there is no key run.learner_lagg; the nearest is learner_lag."
+        refusal(config) == "config/run.yaml:19: there is no key run.learner_lagg; the nearest is learner_lag."
     )
 
 
