@@ -18,10 +18,11 @@ from small_run import invoke
 from tandem_lcm.tandem.episode_step_t import episode_step_t
 
 from tandem.export import mcap
-from tandem.export.message import as_json, json_schema
+from tandem.export.message import json_schema
 from tandem.export.source import Source
 from tandem.learner.episode import ACTION_AXES, Episode
 from tandem.log import messages
+from tandem.log.fields import as_json
 from tandem.run_folder import RunFolder
 from tandem.wire import CHANNELS
 

@@ -44,7 +44,7 @@ inline constexpr std::array kLayout<learner_status_t>{8, kText, 3 * 8 + 6 * 8 + 
 template <>
 inline constexpr std::array kLayout<controller_status_t>{2 * 8 + 3 + 3 * 8 + 4 + 2 * 8 + 8 * 8 +
                                                              2 * 4 + 3 + 3 * 8 + 7 * 8 + 2 * 8 +
-                                                             6 * 8 + 8 + 2 * 4 + 6 * 8 + 4 * 8,
+                                                             6 * 8 + 8 + 2 * 4 + 6 * 8 + 6 * 8,
                                                          kText, kText};
 
 /// Whether `n_bytes` at `data` are, by their lengths, one message of this layout: nothing missing,

@@ -27,8 +27,8 @@ class GripperTest : public RobotFixture {
 
 TEST_F(GripperTest, StaysForItsLatencyThenMovesAtItsSpeedAndSymmetrically) {
   robot.grip(0.0);
-  pass(50);
-  EXPECT_NEAR(width(), 0.04, 1e-9) << "50 ms of latency";
+  pass(200);
+  EXPECT_NEAR(width(), 0.04, 1e-9) << "200 ms of latency";
   pass(20);
   EXPECT_LT(width(), 0.0399);
   pass(180);

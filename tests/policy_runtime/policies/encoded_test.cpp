@@ -128,7 +128,7 @@ TEST(Encoded, EvaluatesWithoutAllocatingAndRepeatsItsBits) {
 TEST(Encoded, RefusesAConfigOutOfRange) {
   EXPECT_EQ(refused("/features", kFeatures), "");
   EXPECT_TRUE(says(refused("/features", 0), "[1, 4096]"));
-  EXPECT_TRUE(says(refused("/features", 10), "encoder.projection.weight"));
+  EXPECT_TRUE(says(refused("/features", 10), "actor.layers.0.weight"));
   EXPECT_TRUE(says(refused("/cameras", Json::array()), "cameras"));
   EXPECT_TRUE(says(refused("/backbone", nullptr), "backbone"));
   EXPECT_TRUE(says(refused("/head/architecture", "encoded"), "encoded again"));
