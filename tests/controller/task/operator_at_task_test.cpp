@@ -46,7 +46,8 @@ TEST_P(EveryTask, IsSolvedByTheOperator) {
   for (uint64_t seed : {1, 2, 3}) EXPECT_TRUE(at.demonstrate(seed, kNothing)) << "seed " << seed;
 }
 
-INSTANTIATE_TEST_SUITE_P(Tasks, EveryTask, ::testing::Values("peg", "square", "square-robosuite", "usb"));
+INSTANTIATE_TEST_SUITE_P(Tasks, EveryTask,
+                         ::testing::Values("peg", "square", "square-robosuite", "usb"));
 
 TEST(ScriptedOperatorAtSquare, TakesAgainWhatTheHandHasDropped) {
   OperatorAtTask at("square");
