@@ -98,7 +98,7 @@ def test_buffer_from_the_log_equals_the_live_one_and_holds_the_images(
 def test_deployed_policy_computes_in_cpp_what_the_learner_computes(trained: Trainer, tmp_path: Any) -> None:
     trained.write_policy(tmp_path / "policy.safetensors")
     tensors = read_safetensors(tmp_path / "policy.safetensors")[0]
-    assert tensors["encoder.backbone.0.weight"].shape == (4, 3, 3, 3)
+    assert tensors["encoder.backbone.0.weight"].shape == (4, 3, 5, 5)
     for kernel in ("", "scalar"):
         assert runtime.info(tmp_path / "policy.safetensors", kernel)["golden_error"] <= 1e-5
     generator = np.random.default_rng(5)

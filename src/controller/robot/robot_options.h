@@ -16,9 +16,9 @@ struct MujocoRobotOptions {
   Wrench collision_force =
       (Wrench() << 100, 100, 100, 40, 40, 40).finished();  ///< N, N m, base axes
 
-  double gripper_speed = 0.1;   ///< m/s, of the width, (0, 1]
-  double gripper_force = 40.0;  ///< N, largest force of each finger, (0, 140]
-  int gripper_latency_ms = 200; ///< from grip() until the fingers follow, 0 to 500
+  double gripper_speed = 0.1;    ///< m/s, of the width, (0, 1]
+  double gripper_force = 40.0;   ///< N, largest force of each finger, (0, 140]
+  int gripper_latency_ms = 200;  ///< from grip() until the fingers follow, 0 to 500
 
   Injection inject;  ///< nothing by default
 };
