@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "base/random.h"
+#include "controller/robot/leds.h"
 
 namespace tandem {
 namespace {
@@ -118,6 +119,7 @@ void CameraView::begin_episode(uint64_t seed) {
   seed_ = seed;
   drawn_ = true;
   Random random = random_for(seed, Purpose::camera);
+  light_leds(nominal_.get(), seed);
 
   const auto light = [&](float* diffuse, const float* of_scene) {
     const double brightness = 1.0 + random.uniform(-jitter.light, jitter.light);

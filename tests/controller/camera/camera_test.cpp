@@ -104,6 +104,17 @@ TEST(CameraView, JitterStaysInItsRangeAndWithoutItNothingMoves) {
   EXPECT_GT(brightest, 1.03 * brightness(*nominal));
 }
 
+TEST(CameraView, LightsOfTheBoardChangeWithTheEpisode) {
+  Rig rig({.mode = ExecutionMode::open_loop, .horizon = Rig::kHorizon, .execute = Rig::kHorizon},
+          "usb");
+  rig.begin(1);
+  CameraView still(rig.simulation, settings(0.0));
+  const SceneState one = state_of(rig, 1), other = state_of(rig, 2);  // the same scene
+  const auto first = still.frame(one);
+  EXPECT_NE(still.frame(other)->jpeg, first->jpeg);
+  EXPECT_EQ(still.frame(one)->jpeg, first->jpeg);
+}
+
 TEST(CameraView, PoseAndFocalLengthSayWhereAThingIsInTheImage) {
   Rig rig;
   rig.begin(3);

@@ -82,12 +82,12 @@ def _run(
     changed.data["controller"] = {**controller, "camera": eye}
     changed.write(folder / "scenario.yaml")
     command: Command = [
-        "taskset", "--cpu-list", str(core), run_folder.program("tandem_controller"), "--lcm-url", "memq://",
+        run_folder.program("tandem_controller"), "--lcm-url", "memq://",
         "--scenario", folder / "scenario.yaml", "--run", folder, "--results", folder / "results.json",
     ]  # fmt: skip
     if sentence := processes.missing_program(command):
         fail(sentence)
-    child = Child("controller", command, folder / "controller.out")
+    child = Child("controller", ["taskset", "--cpu-list", str(core), *command], folder / "controller.out")
     try:
         if child.wait(900.0) != 0:
             fail(changed.explain(child.death()))
