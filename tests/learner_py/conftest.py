@@ -28,7 +28,7 @@ def compile_once():
         outside = {"learner": {"updates_per_env_step", "warm_start_updates", "checkpoint_every_s"}}
         shared = {"name", "execution"}
         key = method.config.model_dump_json(exclude=outside | dict.fromkeys(shared, True))
-        key += method.scenario.task.model_dump_json()
+        key += method.scenario.task.model_dump_json() + method.scenario.run.observe
         if key not in _compiled:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(update, "jax", _With(jax, jit=quick_jit))

@@ -51,8 +51,8 @@ def rows_of(method, episodes):
     """All their windows as one minibatch."""
     windows = [method.windows(episode) for episode in episodes]
     arrays = {
-        name: jnp.concatenate([jnp.asarray(getattr(one, name)) for one in windows])
-        for name in type(windows[0]).__dataclass_fields__
+        name: jnp.concatenate([jnp.asarray(one.columns()[name]) for one in windows])
+        for name in windows[0].columns()
     }
     rows = jnp.arange(len(arrays["mc_return"]))
     return method.batch(arrays, rows, jnp.zeros(3), jnp.ones(3), jax.random.PRNGKey(0))
@@ -70,7 +70,7 @@ def learnt(method, batch, monkeypatch, updates=1500):
     optimizer = method.critic_optimizer
 
     def update(state, key):
-        gradient, _ = jax.grad(method.critic_loss, has_aux=True)(state.critics, state, batch, key)
+        gradient, _ = jax.grad(method.critic_loss, has_aux=True)(state.critics, {}, state, batch, key)
         step, optimizer_state = optimizer.update(gradient, state.critic_optimizer, state.critics)
         critics = optax.apply_updates(state.critics, step)
         average = method.averages(state, {**state.actors, **critics}, jnp.bool_(False))

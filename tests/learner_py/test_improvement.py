@@ -41,7 +41,7 @@ def first_step(method, *members, warm_start=False, **rows):
     q_buffer = mean_score(critic, batch.x, batch.chunk)
     step = jax.value_and_grad(method.actor_loss, has_aux=True)
     (_, wins), gradient = support.quickly(
-        lambda actors: step(actors, state, batch, q_buffer, KEY, warm_start)
+        lambda actors: step(actors, {}, state, batch, q_buffer, KEY, warm_start)
     )(state.actors)
     return gradient, np.asarray(wins)
 
