@@ -42,7 +42,7 @@ def test_minibatch_has_its_share_of_prior_rows_exactly_and_prior_rows_alone_befo
 def test_other_rows_of_the_actor_are_ranked_anew(monkeypatch):
     """Advantages are those of the chunks that are imitated, not of the critic's minibatch."""
 
-    def mismatch(method, trained, state, batch, q_buffer, key, warm_start):
+    def mismatch(method, trained, encoder, state, batch, q_buffer, key, warm_start):
         score = mean_score(state.critics["critic"], batch.x, batch.chunk)
         alone = jnp.where(batch.human.all(), 0.0, 1.0)
         return jnp.abs(score - q_buffer).max() + alone, jnp.zeros(len(q_buffer), bool)
