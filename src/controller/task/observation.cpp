@@ -32,10 +32,7 @@ std::vector<std::string> all_terms() {
 }  // namespace
 
 Observation::Observation(Section& task, const TaskSpec& spec)
-    : X_W_origin_(spec.X_W_origin),
-      X_HO_(spec.X_HO),
-      X_OH_(inverse(spec.X_HO)),
-      object_is_free_(spec.grasp_width > 0.0) {
+    : X_W_origin_(spec.X_W_origin), X_HO_(spec.X_HO), object_is_free_(spec.grasp_width > 0.0) {
   names_ = task.texts("observation");
   if (names_.empty() || names_.size() > kMaxObservation) {
     throw ScenarioError(task.place("observation") + " has " + std::to_string(names_.size()) +
@@ -96,7 +93,7 @@ void Observation::write(const StepSnapshot& s, float* out) const noexcept {
   // The goal's z points out of it, the object's z into it: compare after turning the goal about its
   // x axis.
   const Pose turned{X_WG.p, X_WG.R * Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0)};
-  const Twist goal = minus(turned, X_WO), object = minus(X_WO * X_OH_, s.X_WE);
+  const Twist goal = minus(turned, X_WO), object = minus(X_WO * inverse(X_HO_), s.X_WE);
 
   double table[6 * kGroupCount + 2];
   Eigen::Map<Twist>(table + 0) = minus(s.X_WE, X_W_origin_);

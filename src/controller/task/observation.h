@@ -47,7 +47,7 @@ class Observation {
  private:
   std::vector<std::string> names_;
   std::vector<int> terms_;  // index into the table of all terms
-  Pose X_W_origin_, X_HO_, X_OH_;
+  Pose X_W_origin_, X_HO_;
   bool object_is_free_;
   double bias_m_ = 0, bias_rad_ = 0, jitter_m_ = 0, jitter_rad_ = 0, fine_m_ = 0, fine_rad_ = 0;
 };

@@ -22,7 +22,7 @@ PegTask::PegTask(Section& section) : Task(section) {
   clearance.finish();
   success_depth_m_ = section.number("success_depth_m", 0.001, 0.0299);
   gripper_width_m_ = section.number("gripper_width_m", 0.0, 0.08);
-  const std::vector<double> center = section.numbers("hole_center_m", 3, -1.0, 1.0);
+  X_WG_nominal_ = read_place(section, "hole_center_m");
   const double height = section.number("start_height_m", 0.005, 0.3);
   Section reset = section.section("reset");
   hole_ = read_spread(reset.section("hole"));
@@ -31,7 +31,6 @@ PegTask::PegTask(Section& section) : Task(section) {
   tilt_rad_ = reset.number("in_hand_tilt_deg", 0.0, 10.0) * M_PI / 180.0;
   reset.finish();
 
-  X_WG_nominal_.p << center[0], center[1], center[2];
   spec_.X_HO.p << 0.0, 0.0, kTipDistance;
   spec_.goal_depth = kHoleDepth;
   spec_.X_W_origin =

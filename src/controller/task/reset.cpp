@@ -1,6 +1,7 @@
 #include "controller/task/reset.h"
 
 #include <cmath>
+#include <vector>
 
 namespace tandem {
 
@@ -18,6 +19,11 @@ Spread read_spread(Section section, double widest_yaw_deg) {
                       section.number("yaw_deg", 0.0, widest_yaw_deg) * M_PI / 180.0};
   section.finish();
   return spread;
+}
+
+Pose read_place(Section& section, const std::string& key) {
+  const std::vector<double> p = section.numbers(key, 3, -1.0, 1.0);
+  return {{p[0], p[1], p[2]}, Eigen::Quaterniond::Identity()};
 }
 
 Pose pointing_down(const Eigen::Vector3d& p) {

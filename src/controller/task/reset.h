@@ -1,5 +1,7 @@
 #pragma once
 
+#include <string>
+
 #include "base/geometry.h"
 #include "base/random.h"
 #include "base/section.h"
@@ -19,6 +21,10 @@ struct Spread {
 
 /// Keys xy_m, z_m and yaw_deg; yaw up to `widest_yaw_deg`. @throws ScenarioError
 Spread read_spread(Section section, double widest_yaw_deg = 45.0);
+
+/// Key with a position in base axes, m, each in [-1, 1]: a pose there, not turned. @throws
+/// ScenarioError
+Pose read_place(Section& section, const std::string& key);
 
 /// Upside down about x: a tool at p that points down, without yaw.
 Pose pointing_down(const Eigen::Vector3d& p);

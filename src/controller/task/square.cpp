@@ -10,14 +10,12 @@ constexpr double kFingersOff = 0.004;     // m, wider than the handle
 
 double yaw_of(const Eigen::Quaterniond& R) { return log_map(R).z(); }
 
-Eigen::Vector3d point(const std::vector<double>& p) { return {p[0], p[1], p[2]}; }
-
 }  // namespace
 
 SquareTask::SquareTask(Section& section) : Task(section) {
-  X_WB_nominal_.p = point(section.numbers("nut_center_m", 3, -1.0, 1.0));
-  X_WG_nominal_.p = point(section.numbers("peg_top_m", 3, -1.0, 1.0));
-  const Eigen::Vector3d start = point(section.numbers("start_m", 3, -1.0, 1.0));
+  X_WB_nominal_ = read_place(section, "nut_center_m");
+  X_WG_nominal_ = read_place(section, "peg_top_m");
+  const Pose start = read_place(section, "start_m");
   Section reset = section.section("reset");
   // The handle is taken as it lies; beyond 90 degrees the wrist would run out of turn.
   nut_ = read_spread(reset.section("nut"), 90.0);
@@ -30,7 +28,7 @@ SquareTask::SquareTask(Section& section) : Task(section) {
   hand_away_m_ = success.number("hand_away_m", 0.0, 0.2);
   success.finish();
 
-  spec_.X_W_origin = pointing_down(start);
+  spec_.X_W_origin = pointing_down(start.p);
   spec_.X_HO.p << -0.066, 0.0, 0.010;  // between the sites `grasp` and `object` of the scene
   spec_.goal_depth = X_WG_nominal_.p.z();
   spec_.grasp_width = kHandleWidth;

@@ -15,10 +15,6 @@ constexpr double kUnderPanel = 0.03;  // what closes the wanted port lies so dee
 
 const std::vector<std::string> kPorts = {"usb1", "usb2", "usb3", "usb4"};
 
-Pose at(const std::vector<double>& p) {
-  return {{p[0], p[1], p[2]}, Eigen::Quaterniond::Identity()};
-}
-
 }  // namespace
 
 UsbTask::UsbTask(Section& section) : Task(section) {
@@ -33,9 +29,9 @@ UsbTask::UsbTask(Section& section) : Task(section) {
     throw ScenarioError(section.place("ports") +
                         " is empty; it must name one of usb1, usb2, usb3, usb4 or more.");
   }
-  X_WP_nominal_ = at(section.numbers("panel_center_m", 3, -1.0, 1.0));
-  X_WS_nominal_ = at(section.numbers("stand_top_m", 3, -1.0, 1.0));
-  const Pose start = at(section.numbers("start_m", 3, -1.0, 1.0));
+  X_WP_nominal_ = read_place(section, "panel_center_m");
+  X_WS_nominal_ = read_place(section, "stand_top_m");
+  const Pose start = read_place(section, "start_m");
   Section reset = section.section("reset");
   panel_ = read_spread(reset.section("panel"));
   stand_ = read_spread(reset.section("stand"));
