@@ -16,11 +16,11 @@ struct OperatorRules {
   int see_delay_steps;
   double tremor, tremor_memory, pause_probability;
   int pause_steps;
-  double hover_m, align_m, align_rad, touch_m, touch_force, push_force, wiggle_m;
+  double hover_m, clear_m, align_m, align_rad, touch_m, touch_force, push_force, wiggle_m;
   int wiggle_after_steps;
-  double reach_hover_m, reach_align_m, reach_align_rad, reach_down_m, grip_m;
+  double reach_hover_m, reach_align_m, reach_align_rad, reach_down_m, grip_m, slip_m, slip_rad;
   int reaction_steps_low, reaction_steps_high, no_progress_steps;
-  double patience_gain, progress_m, away_m, force;
+  double patience_gain, progress_m, away_m, low_m, beside_m, force;
   int force_steps, hurry_steps, give_up_steps;
   int hold_steps;
   double recovered_share, seated_m, near_m;
@@ -44,8 +44,8 @@ class ScriptedOperator {
 
  private:
   /// What he does next: brings the hand to an object that lies about, brings the object to its
-  /// goal, or leaves it there.
-  enum class Leg { reach, place, leave };
+  /// goal, leaves it there, or puts back what has slipped in the hand to take it anew.
+  enum class Leg { reach, place, leave, put_back };
 
   /// What moves (object, or hand on its way to one), seen from where it should go (goal, or grasp).
   struct View {
@@ -54,7 +54,9 @@ class ScriptedOperator {
     double yaw;           ///< rad, turn that would align it
     Pose X_WE;
     Eigen::Matrix3d R_WT;  ///< target's axes
-    double distance;       ///< m, still to go, over both legs
+    double tilt;           ///< rad, of the object against the goal
+    double distance;       ///< m, still to go, over all legs
+    double carry;          ///< m, the last leg's share of it
     double force;          ///< N
     double gripper_width;  ///< m
   };
@@ -65,7 +67,8 @@ class ScriptedOperator {
   View expect(const world_state_t& world, View seen) const;
   bool wants_authority(const world_state_t& world, const View& now);
   bool has_reason(const world_state_t& world, const View& now);
-  /// Whether he has long got no nearer himself: lost, jammed or out of his reach.
+  /// Whether the object has toppled, or he has long got no nearer himself: lost, jammed or out of
+  /// his reach.
   bool gives_up(const View& now);
   bool lets_go(const world_state_t& world, const View& now) const;
   /// What his fingers ask for, [-1, 1]: -1 open, 1 closed.
@@ -81,13 +84,14 @@ class ScriptedOperator {
   double speed_ = 1.0;
   Eigen::Vector3d see_bias_ = Eigen::Vector3d::Zero();
   double see_bias_yaw_ = 0.0;
+  Pose X_WH_start_;  // the grasp when the episode began
   int reaction_steps_ = 0;
 
   std::deque<View> views_;
   Twist tremor_ = Twist::Zero();
   int pause_left_ = 0, stuck_steps_ = 0;
   double lowest_ = 0.0;
-  bool aligned_ = false, closing_ = false;
+  bool aligned_ = false, closing_ = false, dropping_ = false, putting_back_ = false;
 
   bool engaged_ = false;
   int reason_steps_ = 0, held_steps_ = 0, since_best_ = 0, force_steps_ = 0;

@@ -105,6 +105,66 @@ TEST(ScriptedOperator, CallsAnEpisodeAFailureThatHeHasLongNotAdvanced) {
   EXPECT_EQ(gave_up_at, 20 + r.give_up_steps + 1);
 }
 
+/// An object in the fingers at `tip` above its goal, 60 mm deep; it lay 0.25 m beside it.
+world_state_t carried_to(const Eigen::Vector3d& tip, int step) {
+  const Eigen::Vector3d place = step == 0 ? Eigen::Vector3d(0.25, 0.0, -0.06) : tip;
+  world_state_t w = world_at(place, step, world_state_t::TRAINING);
+  for (int i = 0; i < 3; ++i) w.p_WH[i] = place[i];
+  w.q_WH[1] = 1.0;
+  w.goal_depth = 0.06;
+  w.grasp_width = w.gripper_width = 0.03;
+  return w;
+}
+
+TEST(ScriptedOperator, TakesOverBeforeTheObjectStrikesTheGoalFromBeside) {
+  const OperatorRules r = rules();
+  for (const double height : {0.5 * r.low_m, 2.0 * r.low_m}) {
+    ScriptedOperator person(r);
+    int engaged = 0;
+    // Steady progress from 80 mm off the axis.
+    for (int step = 0; step < 12; ++step)
+      engaged += person.answer(carried_to({0.08 - 0.005 * step, 0.0, height}, step)).engaged;
+    EXPECT_EQ(engaged > 0, height < r.low_m) << height;
+  }
+}
+
+TEST(ScriptedOperator, PutsBackWhatSlippedInTheHandAndOpensOnlyThere) {
+  const OperatorRules r = rules();
+  ScriptedOperator person(r);
+  Eigen::Vector3d away = Eigen::Vector3d::Zero();
+  int opened = 0, engaged = 0;
+  for (int step = 0; step < 40; ++step) {
+    world_state_t world = carried_to({0.0, 0.0, 0.05}, step);
+    if (step > 5) world.p_WH[0] += 1.2 * r.slip_m;  // the grasp is no longer where the hand is
+    const teleop_command_t command = person.answer(world);
+    engaged += command.engaged;
+    if (step <= 5 || !command.engaged) continue;
+    away += Eigen::Vector3d::Map(command.device_twist);
+    opened += command.device_gripper < 0.0;
+  }
+  EXPECT_GT(engaged, 20);
+  EXPECT_GT(away.x(), 1.0) << "to where it lay";
+  EXPECT_EQ(opened, 0) << "it would fall on the goal";
+}
+
+TEST(ScriptedOperator, CallsAnEpisodeAFailureSoonWhenTheObjectHasToppled) {
+  const OperatorRules r = rules();
+  ScriptedOperator person(r);
+  int gave_up_at = -1, engaged_at = -1;
+  for (int step = 0; step < 200 && gave_up_at < 0; ++step) {
+    world_state_t world = carried_to({0.25, 0.0, -0.06}, step);
+    world.p_WE[2] += 0.1, world.p_WE_commanded[2] += 0.1;
+    world.gripper_width = 0.08;
+    if (step > 0) world.q_WO[0] = world.q_WO[1] = std::sqrt(0.5);  // on its side
+    const teleop_command_t command = person.answer(world);
+    if (command.engaged && engaged_at < 0) engaged_at = step;
+    if (command.label == teleop_command_t::LABEL_FAIL) gave_up_at = step;
+  }
+  ASSERT_GE(engaged_at, 0);
+  EXPECT_LE(gave_up_at, engaged_at + r.reaction_steps_high + 2);
+  EXPECT_GT(gave_up_at, engaged_at);
+}
+
 TEST(ScriptedOperator, PressesOnWhereTheGoalIsSaidToResist) {
   const OperatorRules r = rules();
   for (const double resistance : {0.0, 10.0}) {

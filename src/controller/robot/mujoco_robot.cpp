@@ -13,7 +13,7 @@ constexpr int kWindow = 100;
 constexpr double kTorqueStep = 1000.0 * Simulation::kTimeStep;
 constexpr double kToolSpeed = 1.7, kToolTurn = 2.5;  // m/s, rad/s, FER
 constexpr double kFilter = 0.05;                     // of a new value in the contact filter: 20 ms
-constexpr double kBrakesHold = 0.02;                 // rad/s, below which they hold the position
+constexpr double kBrakesHold = 0.1;                  // rad/s, below which they hold the position
 constexpr double kStandstill = 0.005;                // rad/s of every joint
 constexpr int kRestingCycles = 10;                   // of standstill end a motion
 constexpr int kFinishTimeout = 1000;                 // cycles

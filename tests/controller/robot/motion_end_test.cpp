@@ -43,6 +43,14 @@ TEST_F(MotionEndTest, FinishBrakesWhileMovingAndIsIdleWhenTheArmStands) {
   EXPECT_LT((robot.state().q - rest).cwiseAbs().maxCoeff(), 5e-4) << "and it stays there";
 }
 
+TEST_F(MotionEndTest, FinishEndsThoughSomethingKeepsTurningTheHand) {
+  // As fingers do that squeeze something awry.
+  robot.simulation().push((Wrench() << 0, 0, 0, 0, 0, 1.5).finished());
+  for (int i = 0; i < 50; ++i) robot.write(on_joint(6, 1.0));
+  EXPECT_LT(finish_cycles(robot), 500);
+  EXPECT_EQ(robot.state().fault, Fault::none);
+}
+
 TEST_F(MotionEndTest, FinishOfAnArmAtRestTakesTenCyclesAndOfAnIdleOneTakesOne) {
   for (int i = 0; i < 50; ++i) robot.write(JointVector::Zero());
   EXPECT_EQ(finish_cycles(robot), 10);

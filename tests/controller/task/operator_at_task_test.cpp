@@ -66,5 +66,30 @@ TEST(ScriptedOperatorAtSquare, TakesAgainWhatTheHandHasDropped) {
   EXPECT_GT(*steps, undisturbed + 10);
 }
 
+TEST(ScriptedOperatorAtSquare, PutsBackWhatHangsAskewInTheHandAndTakesItAnew) {
+  OperatorAtTask at("square");
+  const int undisturbed = at.demonstrate(5, kNothing).value_or(0);
+  ASSERT_GT(undisturbed, 40);
+  int opened_at = -1;
+  const auto twist = [&](int step) {
+    const double width = at.simulation.finger_position().sum();
+    if (step > undisturbed / 2 && opened_at < 0 && width > 0.06) opened_at = step;
+    if (step != undisturbed / 2) return;
+    ASSERT_NEAR(width, at.task->spec().grasp_width, 0.002);
+    // About the line between the fingers, so that they keep it.
+    const SceneTruth truth = at.task->truth(at.simulation);
+    const Pose askew =
+        truth.X_WH * Pose{Eigen::Vector3d::Zero(),
+                          Eigen::Quaterniond(Eigen::AngleAxisd(0.25, Eigen::Vector3d::UnitY()))};
+    const Pose X_WB = at.simulation.body_pose(at.simulation.body("nut"));
+    at.simulation.place_free_body(at.simulation.body("nut"), askew * (inverse(truth.X_WH) * X_WB));
+    at.simulation.forward();
+  };
+  const std::optional<int> steps = at.demonstrate(5, twist);
+  ASSERT_TRUE(steps);
+  EXPECT_GT(opened_at, undisturbed / 2);
+  EXPECT_LT(opened_at, *steps - 20) << "not only to leave it on the peg";
+}
+
 }  // namespace
 }  // namespace tandem
