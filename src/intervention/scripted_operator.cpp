@@ -69,6 +69,7 @@ OperatorRules read_rules(Section section) {
   r.low_m = help.number("low_m", 0.0, 0.1);
   r.beside_m = help.number("beside_m", 0.0, 1.0);
   r.force = help.number("force_N", 1.0, 1000.0);
+  r.held_force = help.number("held_force_N", 1.0, 1000.0);
   r.force_steps = static_cast<int>(help.integer("force_steps", 1, 1000));
   r.hurry_steps = static_cast<int>(help.integer("hurry_steps", 0, 10000));
   r.give_up_steps = static_cast<int>(help.integer("give_up_steps", 1, 10000));
@@ -183,7 +184,9 @@ bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
   } else {
     ++since_best_;
   }
-  force_steps_ = now.force > rules_.force ? force_steps_ + 1 : 0;
+  const double bearable =
+      world.grasp_width > 0.0 ? rules_.held_force + world.insertion_force : rules_.force;
+  force_steps_ = now.force > bearable ? force_steps_ + 1 : 0;
 
   const double patience = 1.0 + rules_.patience_gain * world.autonomous_success;
   const bool lost = since_best_ > rules_.no_progress_steps * patience;
