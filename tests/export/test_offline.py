@@ -26,6 +26,23 @@ def test_log_gives_the_runs_buffer_and_policies_again(run: RunFolder, tmp_path: 
     assert all(np.array_equal(ours[name], theirs[name]) for name in theirs)
 
 
+def test_log_in_several_files_gives_the_same_buffer(run: RunFolder, tmp_path: Path) -> None:
+    split = RunFolder(tmp_path / "split")
+    (split.path / "learner").mkdir(parents=True)
+    for file in (run.scenario, run.buffer):
+        shutil.copy(file, split.path / file.relative_to(run.path))
+    files = [split.log, split.log.with_name(split.log.name + ".01")]
+    logs, n_ends = [lcm.EventLog(str(file), "w") for file in files], 0
+    for event in raw_events(run.log):
+        logs[n_ends > 2].write_event(event.timestamp, event.channel, event.data)
+        n_ends += event.channel == "EPISODE_END"
+    for log in logs:
+        log.close()
+    code, output = invoke("train", "peg", "--from", split.path, "--run", tmp_path / "again")
+    assert code == 0, output
+    assert json.loads((tmp_path / "again/offline.json").read_text())["buffer_equal"] is True
+
+
 def test_log_that_lost_an_episode_is_told_from_a_whole_one(run: RunFolder, tmp_path: Path) -> None:
     """And it is a training set all the same."""
     lost = RunFolder(tmp_path / "lost")
