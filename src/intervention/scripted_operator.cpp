@@ -67,6 +67,7 @@ OperatorRules read_rules(Section section) {
   r.progress_m = help.number("progress_m", 0.0, 0.1);
   r.away_m = help.number("away_m", 0.001, 1.0);
   r.low_m = help.number("low_m", 0.0, 0.1);
+  r.askew_rad = help.number("askew_rad", 0.01, 3.2);
   r.beside_m = help.number("beside_m", 0.0, 1.0);
   r.force = help.number("force_N", 1.0, 1000.0);
   r.held_force = help.number("held_force_N", 1.0, 1000.0);
@@ -196,9 +197,11 @@ bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
   const bool strikes = world.grasp_width > 0.0 && now.leg == Leg::place &&
                        now.tip.z() < rules_.low_m && off_axis > kInside &&
                        off_axis < rules_.beside_m;
+  const bool askew = world.grasp_width > 0.0 && now.leg == Leg::place &&
+                     now.tilt > rules_.askew_rad && now.tip.z() > -rules_.seated_m;
   const bool late =
       world.max_steps - world.step < rules_.hurry_steps && now.tip.z() > -rules_.seated_m;
-  return lost || away || rough || strikes || late;
+  return lost || away || rough || strikes || askew || late;
 }
 
 bool ScriptedOperator::gives_up(const View& now) {

@@ -20,7 +20,7 @@ struct OperatorRules {
   int wiggle_after_steps;
   double reach_hover_m, reach_align_m, reach_align_rad, reach_down_m, grip_m, slip_m, slip_rad;
   int reaction_steps_low, reaction_steps_high, no_progress_steps;
-  double patience_gain, progress_m, away_m, low_m, beside_m, force, held_force;
+  double patience_gain, progress_m, away_m, low_m, beside_m, askew_rad, force, held_force;
   int force_steps, hurry_steps, give_up_steps;
   int hold_steps;
   double recovered_share, seated_m, near_m;

@@ -128,6 +128,20 @@ TEST(ScriptedOperator, TakesOverBeforeTheObjectStrikesTheGoalFromBeside) {
   }
 }
 
+TEST(ScriptedOperator, TakesOverWhenTheObjectHangsAskewOverTheGoal) {
+  const OperatorRules r = rules();
+  for (const double tilt : {0.5 * r.askew_rad, 0.5 * (r.askew_rad + r.slip_rad)}) {
+    ScriptedOperator person(r);
+    int engaged = 0;
+    for (int step = 0; step < 12; ++step) {
+      world_state_t world = carried_to({0.0, 0.0, 0.06 - 0.003 * step}, step);
+      if (step > 0) world.q_WO[1] = std::cos(0.5 * tilt), world.q_WO[3] = std::sin(0.5 * tilt);
+      engaged += person.answer(world).engaged;
+    }
+    EXPECT_EQ(engaged > 0, tilt > r.askew_rad) << tilt;
+  }
+}
+
 TEST(ScriptedOperator, PutsBackWhatSlippedInTheHandAndOpensOnlyThere) {
   const OperatorRules r = rules();
   ScriptedOperator person(r);
