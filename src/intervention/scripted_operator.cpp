@@ -40,7 +40,8 @@ OperatorRules read_rules(Section section) {
   r.pause_probability = hand.number("pause_probability", 0.0, 0.5);
   r.pause_steps = static_cast<int>(hand.integer("pause_steps", 1, 50));
   r.hover_m = hand.number("hover_m", 0.002, 0.1);
-  r.clear_m = hand.number("clear_m", r.hover_m, 0.2);
+  r.clear_low_m = hand.number("clear_low_m", r.hover_m, 0.2);
+  r.clear_high_m = hand.number("clear_high_m", r.clear_low_m, 0.2);
   r.align_m = hand.number("align_m", 0.0001, 0.01);
   r.align_rad = hand.number("align_rad", 0.001, 0.3);
   r.touch_m = hand.number("touch_m", 0.0, 0.05);
@@ -118,6 +119,7 @@ void ScriptedOperator::begin_episode(const world_state_t& world) {
   see_bias_yaw_ = random.normal(rules_.see_bias_rad);
   reaction_steps_ = static_cast<int>(std::lround(
       random.uniform(rules_.reaction_steps_low - 0.49, rules_.reaction_steps_high + 0.49)));
+  clear_ = random.uniform(rules_.clear_low_m, rules_.clear_high_m);
   X_WH_start_ = pose(world.p_WH, world.q_WH);
   views_.clear();
   tremor_.setZero();
@@ -374,7 +376,7 @@ Eigen::Vector3d ScriptedOperator::heading(const world_state_t& world, const View
   if (off_axis > 5.0 * rules_.align_m && !inside) aligned_ = false;
   // What he has taken he carries well clear of everything, and comes down over the goal.
   const bool carries = world.grasp_width > 0.0 && off_axis > kOverGoal;
-  const double over = carries ? rules_.clear_m : rules_.hover_m;
+  const double over = carries ? clear_ : rules_.hover_m;
   const double target_z = aligned_ || inside ? -world.goal_depth : over;
   Eigen::Vector3d wanted(-seen.tip.x(), -seen.tip.y(), target_z - seen.tip.z());
   // Off the axis he stays clear of the goal, and lifts the object before he carries it over.

@@ -16,7 +16,8 @@ struct OperatorRules {
   int see_delay_steps;
   double tremor, tremor_memory, pause_probability;
   int pause_steps;
-  double hover_m, clear_m, align_m, align_rad, touch_m, touch_force, push_force, wiggle_m;
+  double hover_m, clear_low_m, clear_high_m, align_m, align_rad, touch_m, touch_force, push_force,
+      wiggle_m;
   int wiggle_after_steps;
   double reach_hover_m, reach_align_m, reach_align_rad, reach_down_m, grip_m, slip_m, slip_rad;
   int reaction_steps_low, reaction_steps_high, no_progress_steps;
@@ -86,6 +87,7 @@ class ScriptedOperator {
   double see_bias_yaw_ = 0.0;
   Pose X_WH_start_;  // the grasp when the episode began
   int reaction_steps_ = 0;
+  double clear_ = 0.0;  // m
 
   std::deque<View> views_;
   Twist tremor_ = Twist::Zero();

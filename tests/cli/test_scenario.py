@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from tandem.scenario import Scenario, ScenarioError, compose, load
+from tandem.scenario import Scenario, ScenarioError, compose, load, observed
 
 
 def composed(config: Path, *overrides: str, **run: Any) -> Scenario:
@@ -204,3 +204,9 @@ def test_defaults_of_a_task_stay_with_keys_that_exist(config: Path) -> None:
 def test_defaults_of_a_task_are_of_run_and_method_alone(config: Path) -> None:
     with_defaults(config, "  controller: {clip: 1}\n")
     assert "defaults of a task must be a mapping with the keys run and method" in refusal(config)
+
+
+def test_policy_that_sees_is_told_where_the_tool_is_in_place_of_the_truth() -> None:
+    terms = ["tool_z", "force_x", "object_x", "goal_fine_rz", "gripper"]
+    assert observed("state", terms) == terms
+    assert observed("image", terms) == ["tool_x", "tool_y", "tool_rz", "tool_z", "force_x", "gripper"]

@@ -341,8 +341,11 @@ def validate_run(scenario: Scenario) -> None:
 
 
 def observed(observe: str, terms: list[str]) -> list[str]:
-    """Names of the numbers that a policy is told, of task.observation. With images: not what it can see for itself."""
-    return terms if observe == "state" else [t for t in terms if not t.startswith(("goal_", "object_"))]
+    """Names of the numbers that a policy is told, of task.observation. With images: where the tool is, not what it can see."""
+    if observe == "state":
+        return terms
+    own = [term for term in terms if not term.startswith(("goal_", "object_"))]
+    return [term for term in ("tool_x", "tool_y", "tool_z", "tool_rz") if term not in own] + own
 
 
 def names(folder: Path) -> list[str]:
