@@ -341,7 +341,7 @@ def validate_run(scenario: Scenario) -> None:
 
 
 def observed(observe: str, terms: list[str]) -> list[str]:
-    """Names of the numbers that a policy is told, of task.observation. With images: where the tool is, not what it can see."""
+    """Names of the numbers that a policy is told. With images: where the tool is, not what it can see for itself."""
     if observe == "state":
         return terms
     own = [term for term in terms if not term.startswith(("goal_", "object_"))]
