@@ -90,6 +90,13 @@ def cut_down(**changes):
             r"low_quantile is 0.9; it must be less than high_quantile = 0.9",
         ),
         ({"head": {"gaussian": {"log_std_min": 3.0}}}, r"head.gaussian.log_std_min is 3.0; .* log_std_max = 2.0"),
+        ({"gripper": {"kind": "critic"}}, r"gripper.kind is critic, critic.kind mc, horizon 1; .* td and 1"),
+        (
+            cut_down(
+                gripper={"kind": "critic"}, decision={"kind": "best_of_n"}, critic={"kind": "td", "td": {"steps": 1}}
+            ),
+            r"decision.kind is best_of_n; beside a gripper's critic it must be head",
+        ),
         ({"improvement": {"edit": {"log_std_max": -6.0}}}, r"edit.log_std_min is -5.0; .* log_std_max = -6.0"),
     ],
 )  # fmt: skip
@@ -107,6 +114,15 @@ def test_chunks_are_not_executed_beyond_their_end_nor_valued_by_fewer_rewards_th
         data = support.scenario_data(horizon=4, critic={"kind": kind, "td": {"steps": 3}})
         with pytest.raises(ScenarioError, match=r"td.steps is 3; it must not be less than the horizon of 4"):
             load(tmp_path, data)
+
+
+def test_critic_of_the_gripper_needs_to_see_what_the_hand_was_told(tmp_path):
+    data = support.scenario_data(method="hil_serl")
+    data["task"]["observation"] = ["a", "b", "c"]
+    with pytest.raises(ScenarioError, match=r"task.observation lacks gripper_commanded"):
+        load(tmp_path, data)
+    data["task"]["action_axes"] = ["x", "rz"]  # nothing to decide
+    load(tmp_path, data)
 
 
 def test_fingerprint_ignores_what_does_not_change_learning():

@@ -15,10 +15,16 @@ import support
 from jax import lax
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 
-from tandem.learner.critic import bootstrap_value, expectile_loss, mean_score, regression_loss
+from tandem.learner.critic import (
+    bootstrap_value,
+    expectile_loss,
+    grasp_loss,
+    mean_score,
+    regression_loss,
+)
 from tandem.learner.improvement import LOSSES
 from tandem.learner.method import Method
-from tandem.learner.networks import ensemble_values
+from tandem.learner.networks import ensemble_values, grasp
 
 ON, OFF = 0.5, -0.5
 TRUE = 0.9 ** np.arange(5, -1, -1)
@@ -139,6 +145,40 @@ def test_iql_values_the_state_by_its_better_action_and_imitates_that(monkeypatch
         return float(method.actor.sample(actor, x, jax.random.PRNGKey(0))[0, 0, 0])
 
     assert chosen("awr") > 0.4 and abs(chosen("imitate")) < 0.15
+
+
+def test_critic_of_the_gripper_closes_the_hand_where_that_earns_and_pays_for_a_change_of_mind():
+    """One step, told open before: in place 1 a closed hand succeeds, in place -1 an open one."""
+    episodes = []
+    for number, (place, gripper) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)]):
+        observation = [[place, 0.0, 0.08], [place, 0.0, 0.08]]
+        outcome = episode_end_t.SUCCESS if place == gripper else episode_end_t.FAILURE
+        executed = [[0, 0, 0, 0, 0, 0, gripper]]
+        facts = {"observation": observation, "executed": executed, "outcome": outcome}
+        episodes.append(support.episode(number, **facts))
+    learner = {"gripper": {"hidden": [16], "toggle_cost": 0.25}, "learning_rate": 5e-3}
+    method = Method(support.scenario(method="hil_serl", **learner))
+    batch = rows_of(method, episodes)
+    assert batch.chunk.shape == (4, 1, 2) and method.actor.n_axes == 2  # the rest is the head's
+    assert batch.toggled.tolist() == [True, False, True, False]
+
+    start = method.init(0)
+    trained = support.minimise(
+        lambda critics, key: method.critic_loss(critics, {}, start, batch, key)[0], start.critics
+    )
+    worth = np.asarray(grasp.worth(trained["grasp"]["layers"], "relu", batch.x))
+    np.testing.assert_allclose(worth[:, 0], [0.0, 0.75], atol=0.05)
+    np.testing.assert_allclose(worth[:, 2], [1.0, -0.25], atol=0.05)
+    networks = {**start.average, "grasp": trained["grasp"]}
+    told = method.decide(networks, batch.x, np.zeros((4, method.noise_size), np.float32))
+    assert told.shape == (4, 1, 3) and told[:, 0, 2].tolist() == [1, 1, -1, -1]
+
+
+def test_next_choice_is_the_live_critics_and_its_worth_the_slow_ones():
+    worth, reward, bootstrap = jnp.zeros((2, 2)), jnp.array([0.5, 0.0]), jnp.array([0.9, 0.0])
+    live, slow = jnp.array([[0.0, 0.0], [1.0, 1.0]]), jnp.array([[7.0, 7.0], [2.0, 2.0]])
+    loss = grasp_loss(worth, jnp.array([True, False]), reward, bootstrap, live, slow)
+    assert float(loss) == pytest.approx((0.5 + 0.9 * 2.0) ** 2 / 2)  # the second ended, with nothing
 
 
 # ---- parts

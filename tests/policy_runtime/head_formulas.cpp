@@ -200,6 +200,35 @@ bool BestOfNFormula::on_the_edge(const PolicyFile& file, const std::vector<doubl
          scores[0] - scores[1] < 1e-3 * std::fmax(1.0, std::fabs(scores[0]));
 }
 
+Json GraspFormula::config() const {
+  return {{"head", {{"architecture", arm->architecture()}, {"config", arm->config()}}},
+          {"critic", common(critic)}};
+}
+
+void GraspFormula::add(PolicyFile& file, const std::string& prefix, std::mt19937& random) const {
+  arm->add(file, prefix, random);
+  add_perceptron(file, "grasp", critic, sizes.observation, 2, random);
+}
+
+std::vector<double> GraspFormula::evaluate(const PolicyFile& file, const std::string& prefix,
+                                           const std::vector<double>& x, const float* noise) const {
+  const auto of_arm = arm->evaluate(file, prefix, x, noise);
+  const auto worth = testing::evaluate(file, "grasp", critic, x);  // open, closed
+  const std::size_t axes = of_arm.size() / sizes.horizon;
+  std::vector<double> chunk;
+  for (int step = 0; step < sizes.horizon; ++step) {
+    chunk.insert(chunk.end(), of_arm.begin() + step * axes, of_arm.begin() + (step + 1) * axes);
+    chunk.push_back(worth[1] > worth[0] ? 1.0 : -1.0);
+  }
+  return chunk;
+}
+
+bool GraspFormula::on_the_edge(const PolicyFile& file, const std::vector<double>& x,
+                               const float*) const {
+  const auto worth = testing::evaluate(file, "grasp", critic, x);
+  return worth[0] != worth[1] && std::fabs(worth[0] - worth[1]) < 1e-3;
+}
+
 PolicyFile make_policy(const HeadFormula& head, unsigned seed) {
   std::mt19937 random(seed);
   PolicyFile file = make_file(head.architecture(), head.config().dump(), head.sizes.observation,

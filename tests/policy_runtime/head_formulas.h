@@ -127,6 +127,24 @@ class BestOfNFormula : public HeadFormula {
                const std::vector<double>& chunk) const;
 };
 
+/// `arm` has all axes but the last, the gripper.
+class GraspFormula : public HeadFormula {
+ public:
+  GraspFormula(Sizes sizes, std::shared_ptr<const HeadFormula> arm, PerceptronSpec critic)
+      : HeadFormula(std::move(sizes)), arm(std::move(arm)), critic(critic) {}
+  const std::shared_ptr<const HeadFormula> arm;
+  const PerceptronSpec critic;
+
+  std::string architecture() const override { return "grasp"; }
+  nlohmann::json config() const override;
+  int noise_size() const override { return arm->noise_size(); }
+  void add(PolicyFile& file, const std::string& prefix, std::mt19937& random) const override;
+  std::vector<double> evaluate(const PolicyFile& file, const std::string& prefix,
+                               const std::vector<double>& x, const float* noise) const override;
+  bool on_the_edge(const PolicyFile& file, const std::vector<double>& x,
+                   const float* noise) const override;
+};
+
 /// A sound file: random parameters, golden examples from the formula.
 PolicyFile make_policy(const HeadFormula& head, unsigned seed = 1);
 

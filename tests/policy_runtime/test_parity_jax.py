@@ -130,6 +130,14 @@ NETWORKS: dict[str, tuple[str, Json, int, int]] = {
         26,
         7,
     ),
+    "grasp, gaussian arm": ("grasp", heads.grasp("gaussian", heads.gaussian(), hidden=[33, 17]), 26, 5),
+    "grasp, flow arm": ("grasp", heads.grasp("flow", heads.flow(), activation="tanh", layer_norm=False), 7, 2),
+    "encoded grasp": (
+        "encoded",
+        heads.encoded("grasp", heads.grasp("gaussian", heads.gaussian()), CAMERAS[:1], CNN, features=16),
+        7,
+        3,
+    ),
     "encoded mlp": ("encoded", heads.encoded("mlp", heads.mlp(), CAMERAS, CNN, features=5), 6, 4),
     "encoded flow": (
         "encoded",

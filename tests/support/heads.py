@@ -67,6 +67,11 @@ def best_of_n(heads: list[tuple[str, Json, int]], edit: bool = True, **critic: A
     }
 
 
+def grasp(architecture: str, config: Json, **critic: Any) -> Json:
+    critic = {"hidden": [11], "activation": "relu", "layer_norm": True} | critic
+    return {"head": {"architecture": architecture, "config": config}, "critic": critic}
+
+
 def encoded(architecture: str, config: Json, cameras: list[Json], backbone: Json, features: int) -> Json:
     head = {"architecture": architecture, "config": config}
     return {"cameras": cameras, "backbone": backbone, "features": features, "head": head}

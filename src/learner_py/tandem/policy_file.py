@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FORMAT = "tandem-policy-1"
-COMPOSED = ("best_of_n", "encoded")  # architectures of several networks
+COMPOSED = ("best_of_n", "grasp", "encoded")  # architectures of several networks
 Array = NDArray[Any]
 
 BFLOAT16 = np.dtype(ml_dtypes.bfloat16)
@@ -114,7 +114,7 @@ def write_policy(
     bfloat16: store the network's matrices so; the golden chunks must then be those of `rounded(params)`.
     Raises PolicyFileError rather than writing a number that is not finite: such a policy must not reach the arm.
     """
-    # the parts of these have names of their own: actor.0, edit, critic.0; encoder
+    # the parts of these have names of their own: actor.0, edit, critic.0; grasp; encoder
     tensors = named_arrays(params, "" if header.architecture in COMPOSED else "actor")
     matrices = {name for name, array in tensors.items() if _is_matrix(name, array)}
     tensors |= {"normalizer.mean": mean, "normalizer.scale": scale}

@@ -23,6 +23,9 @@ BestOfNHead::Config BestOfNHead::Config::read(ConfigReader& reader) {
     if (config.heads.back().architecture == "encoded") {
       each.refuse("is encoded; the encoder goes around the best_of_n, so that all see one image.");
     }
+    if (config.heads.back().architecture == "grasp") {
+      each.refuse("is a grasp; here the critics choose all axes, the gripper among them.");
+    }
     samples += config.heads.back().samples;
   }
   if (samples > kMaxSamples) {

@@ -7,6 +7,7 @@
 #include "policy_runtime/policies/encoded.h"
 #include "policy_runtime/policies/flow.h"
 #include "policy_runtime/policies/gaussian.h"
+#include "policy_runtime/policies/grasp.h"
 #include "policy_runtime/policies/mlp.h"
 #include "policy_runtime/policy_error.h"
 
@@ -26,11 +27,12 @@ std::unique_ptr<const Head> load_head(SafetensorsFile& file, const std::string& 
   if (architecture == "act") return std::make_unique<ActHead>(file, std::move(config), spec);
   if (architecture == "best_of_n")
     return std::make_unique<BestOfNHead>(file, std::move(config), spec);
+  if (architecture == "grasp") return std::make_unique<GraspHead>(file, std::move(config), spec);
   if (architecture == "encoded")
     return std::make_unique<EncodedHead>(file, std::move(config), spec);
   throw PolicyError(file.path() + ": architecture is " + printable(architecture) +
-                    "; this runtime knows mlp, gaussian, flow, act, best_of_n and encoded. Train "
-                    "with a method that writes one of these.");
+                    "; this runtime knows mlp, gaussian, flow, act, best_of_n, grasp and encoded. "
+                    "Train with a method that writes one of these.");
 }
 
 }  // namespace tandem::policy

@@ -162,6 +162,14 @@ class Decision(Strict):
     with_reference: bool
 
 
+class Gripper(Strict):
+    """What decides the gripper, on tasks that have one among their axes."""
+
+    kind: Literal["head", "critic"]
+    hidden: Widths
+    toggle_cost: float = Field(ge=0, le=1)
+
+
 class Replay(Strict):
     """Which rows minibatches hold."""
 
@@ -187,6 +195,7 @@ class LearnerConfig(Strict):
     critic: Critic
     improvement: Improvement
     decision: Decision
+    gripper: Gripper
     replay: Replay
     image: ImageEncoder
     warm_start_updates: int = Field(ge=0, le=1_000_000)
@@ -257,6 +266,16 @@ class MethodConfig(Strict):
                 f"learner.decision.samples is {learner.decision.samples}, and with_reference draws as many more",
                 f"there may be {MAX_SAMPLES} together",
             )
+        if learner.gripper.kind == "critic" and (critic.kind, self.horizon) != ("td", 1):
+            yield (
+                f"learner.gripper.kind is critic, critic.kind {critic.kind}, horizon {self.horizon}",
+                "the gripper's critic learns from one step to the next: td and 1",
+            )
+        if learner.gripper.kind == "critic" and learner.decision.kind != "head":
+            yield (
+                f"learner.decision.kind is {learner.decision.kind}",
+                "beside a gripper's critic it must be head: best_of_n chooses among whole actions",
+            )
         if improvement.e2hil.low_quantile >= improvement.e2hil.high_quantile:
             yield (
                 f"learner.improvement.e2hil.low_quantile is {improvement.e2hil.low_quantile}",
@@ -322,6 +341,17 @@ class LearnerScenario(Lenient):
     task: TaskConfig
     controller: ControllerConfig
     method: MethodConfig
+
+    @model_validator(mode="after")
+    def _gripper_fits(self) -> LearnerScenario:
+        has_axis = "gripper" in self.task.action_axes
+        needs = self.method.learner.gripper.kind == "critic" and has_axis
+        if needs and "gripper_commanded" not in self.observation:
+            raise ValueError(
+                "method.learner.gripper.kind is critic, and task.observation lacks gripper_commanded, by which it tells"
+                " a change of mind"
+            )
+        return self
 
     @model_validator(mode="after")
     def _images_fit(self) -> LearnerScenario:

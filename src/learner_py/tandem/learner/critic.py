@@ -39,6 +39,19 @@ def bootstrap_value(values: Array, subset: int, aggregate: str, key: Array) -> A
     return values.min(axis=0) if aggregate == "min" else values.mean(axis=0)
 
 
+def grasp_loss(
+    worth: Array, closed: Array, reward: Array, bootstrap: Array, next_live: Array, next_slow: Array
+) -> Array:
+    """Of a critic of the gripper, by double Q-learning (van Hasselt et al. 2016), as HIL-SERL has it.
+
+    worth (2, B) of an open and a closed hand; closed (B,) which of them it was. Target: reward + bootstrap x the slow
+    critic's next worth (2, B) of what the live one would choose.
+    """
+    columns = jnp.arange(worth.shape[1])
+    target = reward + bootstrap * next_slow[next_live.argmax(axis=0), columns]
+    return jnp.mean(jnp.square(worth[closed.astype(jnp.int32), columns] - lax.stop_gradient(target)))
+
+
 def state_value(value: Mlp, x: Array, activation: str) -> Array:
     """V (B,); an ensemble of one that sees no chunk."""
     return ensemble_values(value, x, jnp.zeros((len(x), 0)), activation)[0]

@@ -1,7 +1,7 @@
 """Golden examples: what a network gives for some inputs, kept in the policy file so that whoever runs it can check.
 
-A best of N is checked where rounding can't choose another winner. How far rounding moves a critic's score is in
-proportion to the numbers that its output layer adds up, not to the score, which may be near zero.
+A best of N, or a critic of the gripper, is checked where rounding can't choose another winner. How far rounding moves
+a critic's score is in proportion to the numbers that its output layer adds up, not to the score, which may be small.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from tandem.learner.networks import HEADS, Array, HeadConfig, Params, best_of_n, cameras, encoded
+from tandem.learner.networks import HEADS, Array, HeadConfig, Params, best_of_n, cameras, encoded, grasp
 from tandem.learner.networks.mlp import Mlp, features
 
 Floats = NDArray[np.float32]
@@ -53,6 +53,11 @@ def policy_chunk(
         encoder, params = encoded.parts(params, config)
         x = encoded.encode(encoder, config, x, images)
         head, config = config.head.head, config.head.config
+    if isinstance(config, grasp.Config):
+        layers, activation = params["grasp"]["layers"], config.critic.activation
+        value = grasp.worth(layers, activation, x)
+        lead = jnp.abs(value[grasp.CLOSED] - value[grasp.OPEN])
+        return head.chunk(params, config, x, noise, images), lead / _terms(layers, activation, x.T)
     if not isinstance(config, best_of_n.Config):
         return head.chunk(params, config, x, noise, images), jnp.full(len(x), jnp.inf)
     proposed = best_of_n.candidates(params, config, x, noise, images)
@@ -69,13 +74,14 @@ def policy_chunk(
 def _added_up(critic: Mlp, activation: str, x: Array, chunk: Array) -> Array:
     """(B,) sum of the magnitudes of the terms of a score; the largest of the members'."""
     inputs = jnp.concatenate([x, chunk.reshape(len(x), -1)], axis=1).T
+    return jax.vmap(lambda layers: _terms(layers, activation, inputs))(critic).max(axis=0)
 
-    def of_member(layers: Mlp) -> Array:
-        output = layers[-1]
-        terms = jnp.abs(output["weight"]) @ jnp.abs(features(layers, inputs, activation))
-        return terms[0] + jnp.abs(output["bias"])
 
-    return jax.vmap(of_member)(critic).max(axis=0)
+def _terms(layers: Mlp, activation: str, inputs: Array) -> Array:
+    """(B,) sum of the magnitudes of what an output is added up of, for inputs (in, B); the largest of the outputs'."""
+    output = layers[-1]
+    terms = jnp.abs(output["weight"]) @ jnp.abs(features(layers, inputs, activation))
+    return (terms + jnp.abs(output["bias"])[:, None]).max(axis=0)
 
 
 def golden_examples(

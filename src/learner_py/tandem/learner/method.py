@@ -19,7 +19,7 @@ from jax import lax
 from tandem.learner.actor import Actor, make_actor
 from tandem.learner.buffer import Arrays
 from tandem.learner.config import LearnerScenario, MethodConfig
-from tandem.learner.critic import bootstrap_value, expectile_loss, regression_loss, state_value
+from tandem.learner.critic import bootstrap_value, expectile_loss, grasp_loss, regression_loss, state_value
 from tandem.learner.episode import Bools, Episode
 from tandem.learner.improvement import LOSSES, imitate, sac
 from tandem.learner.networks import (
@@ -31,21 +31,23 @@ from tandem.learner.networks import (
     best_of_n,
     encoded,
     ensemble_values,
+    grasp,
     init_ensemble,
     init_mlp,
 )
 from tandem.learner.networks.mlp import OUTPUT_GAIN
 from tandem.learner.windows import Windows, make_windows
 
-Networks = dict[str, Params]  # by role: actor, critic, value, edit, temperature, encoder
+Networks = dict[str, Params]  # by role: actor, critic, value, grasp, edit, temperature, encoder
 
-AVERAGED = ("actor", "edit", "critic", "encoder")
+HALF_OPEN_M = 0.04  # of the hand's 80 mm
+AVERAGED = ("actor", "edit", "critic", "grasp", "encoder")
 
 
 class LearnerState(NamedTuple):
     """All that gradient updates change. A checkpoint holds every leaf of it."""
 
-    critics: Networks  # critic (leading axis M) and value, where the method has them
+    critics: Networks  # critic (leading axis M), value and grasp, where the method has them
     actors: Networks
     average: Networks  # slow copies: what is deployed, evaluated and bootstrapped from; and the reference
     critic_optimizer: optax.OptState
@@ -57,7 +59,7 @@ class LearnerState(NamedTuple):
 
 class Batch(NamedTuple):
     x: Array  # (B, O) normalised observations
-    chunk: Array  # (B, h, A) executed
+    chunk: Array  # (B, h, A) executed; without the gripper where a critic of its own decides it
     valid: Array  # (B, h)
     human: Array  # (B, h)
     mc_return: Array  # (B,)
@@ -66,6 +68,8 @@ class Batch(NamedTuple):
     bootstrap: Array  # (B,)
     image: Array | None = None  # (B, H, W, 3) uint8
     next_image: Array | None = None  # (B, H, W, 3) uint8
+    closed: Array | None = None  # (B,) the hand was told to be closed; where a critic of its own decides that
+    toggled: Array | None = None  # (B,) it had been told otherwise before
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,19 @@ class Method:
         return self.config.learner.improvement.kind not in ("imitate", "awr")
 
     @property
+    def grasps(self) -> bool:
+        """A critic of its own decides the gripper."""
+        return self.config.learner.gripper.kind == "critic" and "gripper" in self.scenario.task.action_axes
+
+    @property
     def n_axes(self) -> int:
+        """Of the policy."""
         return len(self.scenario.task.action_axes)
+
+    @property
+    def n_head_axes(self) -> int:
+        """A, of head and critics: all, or all but the gripper."""
+        return self.n_axes - self.grasps
 
     @cached_property
     def sight(self) -> encoded.Sight | None:
@@ -113,17 +128,18 @@ class Method:
         observation = list(self.scenario.observation)
         if self.sight is not None:
             observation += [f"image_{i}" for i in range(self.sight.features)]
-        return make_actor(self.config.learner.head, self.config.horizon, observation, self.n_axes)
+        return make_actor(self.config.learner.head, self.config.horizon, observation, self.n_head_axes)
 
     @property
     def target_entropy(self) -> float:
         """Of soft actor-critic, for a whole chunk."""
-        return self.config.learner.improvement.sac.target_entropy_per_axis * self.config.horizon * self.n_axes
+        per_axis = self.config.learner.improvement.sac.target_entropy_per_axis
+        return per_axis * self.config.horizon * self.n_head_axes
 
     def init(self, seed: int) -> LearnerState:
         learner = self.config.learner
         generator = np.random.default_rng(seed)
-        n_obs, n_chunk = self.actor.n_observation, self.config.horizon * self.n_axes
+        n_obs, n_chunk = self.actor.n_observation, self.config.horizon * self.n_head_axes
         actors: Networks = {"actor": self.actor.init(generator)}
         critics: Networks = {}
         if self.has_critic:
@@ -131,6 +147,8 @@ class Method:
             critics["critic"] = init_ensemble(generator, learner.critic.members, sizes)
         if learner.improvement.kind == "awr" or learner.critic.kind == "iql":
             critics["value"] = init_ensemble(generator, 1, [n_obs, *learner.critic.hidden, 1])
+        if self.grasps:
+            critics["grasp"] = grasp.init_critic(generator, self._grasp_critic, n_obs)
         if learner.improvement.kind in ("sac", "e2hil", "expo"):
             actors["temperature"] = sac.init_temperature(learner.improvement.sac.initial_temperature)
         if learner.improvement.kind == "expo":
@@ -225,12 +243,18 @@ class Method:
             if name in arrays
         }
         names = ("chunk", "valid", "human", "mc_return", "n_step_return", "bootstrap")
-        return Batch(
+        batch = Batch(
             x=(arrays["observation"][rows] - mean) * scale,
             next_x=(arrays["next_observation"][rows] - mean) * scale,
             **{name: arrays[name][rows] for name in names},
             **images,
         )
+        if not self.grasps:
+            return batch
+        commanded = arrays["observation"][rows, self.scenario.observation.index("gripper_commanded")]
+        closed = batch.chunk[:, 0, -1] > 0.0
+        toggled = closed != (commanded < HALF_OPEN_M)
+        return batch._replace(chunk=batch.chunk[..., :-1], closed=closed, toggled=toggled)
 
     def see(self, encoder: Networks, x: Array, image: Array | None) -> Array:
         """Normalised observations (B, O), images (B, H, W, 3) -> what actor and critics see, (B, O + F)."""
@@ -248,15 +272,24 @@ class Method:
     @cached_property
     def deployed(self) -> tuple[str, HeadConfig]:
         """Architecture and config of the policy file."""
-        architecture, config = self.decision
+        architecture, config = self.seeing
         if self.sight is None:
             return architecture, config
         head = {"architecture": architecture, "config": config.model_dump()}
         return "encoded", encoded.Config.model_validate({**self.sight.model_dump(), "head": head})
 
     @cached_property
+    def seeing(self) -> tuple[str, HeadConfig]:
+        """Architecture and config of the policy but its encoder."""
+        architecture, config = self.decision
+        if not self.grasps:
+            return architecture, config
+        arm = {"architecture": architecture, "config": config.model_dump()}
+        return "grasp", grasp.Config.model_validate({"head": arm, "critic": self._grasp_critic.model_dump()})
+
+    @cached_property
     def decision(self) -> tuple[str, HeadConfig]:
-        """Architecture and config of what decides: the policy but its encoder."""
+        """Architecture and config of what decides the head's axes."""
         learner, actor = self.config.learner, self.actor
         if learner.decision.kind == "head":
             return actor.architecture, actor.config
@@ -280,12 +313,21 @@ class Method:
         }
         return "best_of_n", best_of_n.Config.model_validate(config)
 
+    @property
+    def _grasp_critic(self) -> grasp.Critic:
+        hidden, activation = self.config.learner.gripper.hidden, self.config.learner.critic.activation
+        return grasp.Critic(hidden=tuple(hidden), activation=activation, layer_norm=True)
+
     def policy(self, networks: Networks) -> Params:
         """The parameters of the deployed policy, of the learner's networks."""
         _, config = self.deployed
         if isinstance(config, encoded.Config):
-            return encoded.together(networks["encoder"], config, self._deciding(networks))
-        return self._deciding(networks)
+            return encoded.together(networks["encoder"], config, self._seeing(networks))
+        return self._seeing(networks)
+
+    def _seeing(self, networks: Networks) -> Params:
+        deciding = self._deciding(networks)
+        return {"actor": deciding, "grasp": networks["grasp"]} if self.grasps else deciding
 
     def _deciding(self, networks: Networks) -> Params:
         if self.config.learner.decision.kind == "head":
@@ -302,9 +344,9 @@ class Method:
         return {"actor": heads, "critic": critics, **edit}
 
     def decide(self, networks: Networks, x: Array, noise: Array) -> Array:
-        """Head and decision: what they see (B, O or O + F), noise -> the chunks (B, h, A) that the arm executes."""
-        architecture, config = self.decision
-        return HEADS[architecture].chunk(self._deciding(networks), config, x, noise, {})
+        """What is seen behind the encoder (B, O or O + F), noise -> the chunks (B, h, A) that the arm executes."""
+        architecture, config = self.seeing
+        return HEADS[architecture].chunk(self._seeing(networks), config, x, noise, {})
 
     @property
     def noise_size(self) -> int:
@@ -314,8 +356,10 @@ class Method:
     # ---- losses
 
     def values(self, critic: Mlp, x: Array, chunk: Array) -> Array:
-        """Q (M, B)."""
-        return ensemble_values(critic, x, chunk, self.config.learner.critic.activation)
+        """Q (M, B). chunk: the head's axes, or all of the policy's."""
+        return ensemble_values(
+            critic, x, chunk[..., : self.n_head_axes], self.config.learner.critic.activation
+        )
 
     def state_value(self, value: Mlp, x: Array) -> Array:
         """V (B,)."""
@@ -340,7 +384,25 @@ class Method:
                 slow = self.values(state.average["critic"], batch.x, batch.chunk)
                 below = slow.min(axis=0) if settings.td.aggregate == "min" else slow.mean(axis=0)
                 loss += expectile_loss(value, below, settings.expectile)
+        if "grasp" in trained:
+            loss += self._grasp_loss(trained["grasp"], state, batch)
         return loss, lax.stop_gradient(values.mean(axis=0))
+
+    def _grasp_loss(self, trained: Params, state: LearnerState, batch: Batch) -> Array:
+        assert batch.closed is not None and batch.toggled is not None, (
+            "the method has a critic of the gripper"
+        )
+        activation = self.config.learner.critic.activation
+        next_x = self.see(state.encoder, batch.next_x, batch.next_image)
+        live, slow = state.critics["grasp"]["layers"], state.average["grasp"]["layers"]
+        return grasp_loss(
+            grasp.worth(trained["layers"], activation, batch.x),
+            batch.closed,
+            batch.n_step_return - self.config.learner.gripper.toggle_cost * batch.toggled,
+            batch.bootstrap,
+            grasp.worth(live, activation, next_x),
+            grasp.worth(slow, activation, next_x),
+        )
 
     def _next_value(self, state: LearnerState, batch: Batch, key: Array) -> Array:
         """Value (B,) of the state that a window leads to."""
@@ -387,7 +449,7 @@ class Method:
                 continue
             # a young average follows quickly, so that it forgets the random start
             decay = jnp.minimum(
-                critic_decay if name == "critic" else learner.ema,
+                critic_decay if name in ("critic", "grasp") else learner.ema,
                 (1.0 + state.updates) / (10.0 + state.updates),
             )
             average[name] = _mix(decay, old, networks[name])

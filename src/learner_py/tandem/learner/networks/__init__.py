@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from tandem.learner.networks import act, best_of_n, encoded
+from tandem.learner.networks import act, best_of_n, encoded, grasp
 from tandem.learner.networks.base import Array, HeadConfig, Params
 from tandem.learner.networks.image import Camera
 from tandem.learner.networks.mlp import Mlp, ensemble_values, init_ensemble, init_mlp
@@ -32,6 +32,7 @@ __all__ = [
     "cameras",
     "encoded",
     "ensemble_values",
+    "grasp",
     "init_ensemble",
     "init_mlp",
     "read_config",
@@ -51,4 +52,6 @@ def cameras(config: HeadConfig) -> tuple[Camera, ...]:
         return config.cameras
     if isinstance(config, best_of_n.Config):
         return tuple(dict.fromkeys(camera for part in config.heads for camera in cameras(part.config)))
+    if isinstance(config, grasp.Config):
+        return cameras(config.head.config)
     return config.cameras if isinstance(config, act.Config) else ()

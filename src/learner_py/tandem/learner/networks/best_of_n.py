@@ -34,12 +34,11 @@ from tandem.learner.networks.mlp import OUTPUT_GAIN, Mlp, ensemble_values, init_
 SINGLE_HEADS: dict[str, ModuleType] = {"mlp": mlp, "gaussian": gaussian, "flow": flow, "act": act}
 
 
-class Proposer(HeadConfig):
-    """A head and how many samples of it."""
+class SingleHead(HeadConfig):
+    """A head that is not made of others."""
 
     architecture: Literal["mlp", "gaussian", "flow", "act"]
     config: SerializeAsAny[HeadConfig]
-    samples: Annotated[int, Field(ge=1, le=256)]
 
     @field_validator("config", mode="before")
     @classmethod
@@ -52,6 +51,12 @@ class Proposer(HeadConfig):
     @property
     def head(self) -> ModuleType:
         return SINGLE_HEADS[self.architecture]
+
+
+class Proposer(SingleHead):
+    """A head and how many samples of it."""
+
+    samples: Annotated[int, Field(ge=1, le=256)]
 
 
 class Edit(HeadConfig):

@@ -16,12 +16,13 @@ import numpy as np
 from jax import lax
 from pydantic import Field, SerializeAsAny, TypeAdapter, ValidationInfo, field_validator
 
-from tandem.learner.networks import best_of_n, image
+from tandem.learner.networks import best_of_n, grasp, image
 from tandem.learner.networks.base import Array, HeadConfig, Images, Params, array, ones, zeros
 from tandem.learner.networks.image import Camera
 from tandem.learner.networks.mlp import NORM_EPSILON
 
-HEADS: dict[str, ModuleType] = {**best_of_n.SINGLE_HEADS, "best_of_n": best_of_n}
+HEADS: dict[str, ModuleType] = {**best_of_n.SINGLE_HEADS, "best_of_n": best_of_n, "grasp": grasp}
+COMPOSED = ("best_of_n", "grasp")  # their parts have names of their own
 
 
 class Sight(HeadConfig):
@@ -48,7 +49,7 @@ class Sight(HeadConfig):
 class Inner(HeadConfig):
     """The head behind the encoder."""
 
-    architecture: Literal["mlp", "gaussian", "flow", "act", "best_of_n"]
+    architecture: Literal["mlp", "gaussian", "flow", "act", "best_of_n", "grasp"]
     config: SerializeAsAny[HeadConfig]
 
     @field_validator("config", mode="before")
@@ -80,12 +81,12 @@ def init(generator: np.random.Generator, config: Config, n_observation: int, n_a
 
 def together(encoder: Params, config: Config, inner: Params) -> Params:
     """Parameters of the whole, named as in the policy file."""
-    return {"encoder": encoder, **(inner if config.head.architecture == "best_of_n" else {"actor": inner})}
+    return {"encoder": encoder, **(inner if config.head.architecture in COMPOSED else {"actor": inner})}
 
 
 def parts(params: Params, config: Config) -> tuple[Params, Params]:
     """The encoder's parameters, and the head's."""
-    if config.head.architecture != "best_of_n":
+    if config.head.architecture not in COMPOSED:
         return params["encoder"], params["actor"]
     return params["encoder"], {name: part for name, part in params.items() if name != "encoder"}
 
