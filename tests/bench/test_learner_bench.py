@@ -18,18 +18,18 @@ def setting(folder: Path, method: str) -> LearnerScenario:
 
 
 def test_operations_are_those_of_the_matrix_products(tmp_path: Path) -> None:
-    # 26 observations + 4 x 4 actions; forward, and twice backward but for the first layer's inputs
-    critic = 2 * 256 * (2 * 42 * 128 + 3 * 128 * 128 + 3 * 128)
-    field = 2 * 256 * (2 * (42 + 8) * 128 + 3 * 128 * 128 + 3 * 128 * 16)
+    # 23 observations + 4 x 4 actions; forward, and twice backward but for the first layer's inputs
+    critic = 2 * 256 * (2 * 39 * 128 + 3 * 128 * 128 + 3 * 128)
+    field = 2 * 256 * (2 * (39 + 8) * 256 + 3 * 256 * 256 + 3 * 256 * 16)
     assert work.flops(setting(tmp_path, "tandem")) == 5 * critic + field
 
 
 def test_work_file_holds_every_parameter_and_whole_rows(tmp_path: Path) -> None:
     work.write(tmp_path / "work.npz", setting(tmp_path, "tandem"))
     given = np.load(tmp_path / "work.npz")
-    assert given["critic.0.weight"].shape == (5, 128, 42) and given["critic.1.norm_scale"].shape == (5, 128)
+    assert given["critic.0.weight"].shape == (5, 128, 39) and given["critic.1.norm_scale"].shape == (5, 128)
     assert given["critic.2.weight"].shape == (5, 1, 128) and "critic.3.weight" not in given
-    assert given["actor.0.weight"].shape == (128, 50) and given["actor.2.weight"].shape == (16, 128)
+    assert given["actor.0.weight"].shape == (256, 47) and given["actor.2.weight"].shape == (16, 256)
     assert given["rows.chunk"].shape == (work.N_ROWS, 4, 4) and given["noise"].shape == (256, 4, 4)
 
 

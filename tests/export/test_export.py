@@ -83,7 +83,7 @@ def test_lerobots_own_reader_gives_the_steps_of_the_log(
     assert facts["lengths"] == [episode.n_steps for episode in episodes]
     assert facts["outcomes"] == [episode.outcome for episode in episodes]
     assert facts["batch"] == [3, state.shape[1]] and facts["third"] == [2]
-    assert facts["names"][0] == "tool_x"
+    assert facts["names"][0] == "tool_z"
     np.testing.assert_allclose(facts["mean"], state.mean(axis=0, dtype=float), atol=1e-9)
 
 

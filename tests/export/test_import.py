@@ -107,7 +107,7 @@ def test_what_is_not_of_the_task_is_refused_with_a_sentence(exported: Path, tmp_
     for file, key, value, sentence in (
         ("rate", "fps", 30, "has 30 frames a second, and the policy runs at 10 Hz"),
         ("old", "codebase_version", "v2.1", "is a LeRobotDataset v2.1; v3.0 is read"),
-        ("bare", "features", {}, "observation.state does not name tool_x"),
+        ("bare", "features", {}, "observation.state does not name tool_z"),
     ):
         changed(exported, tmp_path / file, "next.success", lambda column, index: column)
         info = json.loads((exported / "meta/info.json").read_text())

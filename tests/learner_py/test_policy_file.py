@@ -94,7 +94,7 @@ def test_file_is_what_the_library_reads_with_all_metadata(tmp_path):
         "version", "env_steps", "updates", "episodes_trained_through", "git_revision",
     }  # fmt: skip
     header = read_header(tmp_path / "policy.safetensors")
-    assert header.version == 1 and header.updates == 70 and header.execution["mode"] == "receding"
+    assert header.version == 1 and header.updates == 70 and header.execution["mode"] == "temporal_ensembling"
 
 
 def test_same_policy_gives_the_same_bytes(tmp_path):

@@ -87,8 +87,8 @@ def _spoil(kind: str, tensors: dict[str, Array], texts: dict[str, str]) -> None:
 def _silence(tensors: dict[str, Array], config: dict[str, Any]) -> None:
     """Weights that give inf - inf for every observation but the normaliser's mean, which all golden examples get.
 
-    Two neurons of the first layer are large for a tool_x above and below the mean; the next layer makes infinity of
-    either; the last one subtracts it from itself.
+    Two neurons of the first layer are large for a first number above and below its mean; the next layer makes infinity
+    of either; the last one subtracts it from itself.
     """
     n_layers = len(config["hidden"]) + 1
     if n_layers != 3 or config["layer_norm"] or config["activation"] != "relu":
