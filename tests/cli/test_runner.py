@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tandem.experiments.machines import MachineError, RayMachine, ThisMachine
-from tandem.experiments.runner import Outcome, default_jobs, spread
+from tandem.experiments.machines import MachineError, RayMachine, ThisMachine, shares
+from tandem.experiments.runner import Outcome, spread
 from tandem.experiments.runs import Run
 from tandem.run_folder import RunFolder
 
@@ -49,7 +49,7 @@ def go(
     def command(run: Run) -> list[str]:
         return [sys.executable, str(FAKE), str(run.folder.path), str(seconds)]
 
-    return spread(wanted, ThisMachine(), jobs, say, interrupted, command)
+    return spread(wanted, ThisMachine(jobs), jobs, say, interrupted, command)
 
 
 def times(run: Run, name: str) -> list[float]:
@@ -78,8 +78,20 @@ def test_as_many_runs_as_jobs_go_at_the_same_time_and_no_more(tmp_path: Path) ->
     assert max(together) == 2
 
 
-def test_half_the_cores_run_and_at_least_one() -> None:
-    assert [default_jobs(cores) for cores in (1, 2, 3, 8)] == [1, 1, 1, 4]
+def test_cores_are_shared_out_once_and_left_alone_when_there_are_too_few() -> None:
+    assert shares([2, 3], 1) == [[2, 3]]
+    assert shares([0, 1, 2, 3, 4], 2) == [[0, 2, 4], [1, 3]]
+    assert shares([0, 1], 3) == []
+
+
+def test_runs_at_the_same_time_have_cores_of_their_own(tmp_path: Path) -> None:
+    machine = ThisMachine(2)
+    if machine.cores < 2:
+        pytest.skip("one core")
+    wanted = runs(tmp_path, "a", "b", "c", "d")
+    assert spread(wanted, machine, 2, print, lambda: 0, lambda run: fake(run, 0.5)) == Outcome()
+    first, second, *later = [(run.folder.path / "cores").read_text() for run in wanted]
+    assert first != second and set(later) == {first, second}
 
 
 def test_each_event_is_one_line_with_what_is_done_of_all(tmp_path: Path) -> None:

@@ -55,7 +55,8 @@ def receive_buffer() -> int:
 class Child:
     """One program in a process group of its own, stdout and stderr appended to a file.
 
-    With `terminal` it stays in our group and has our terminal; only its stderr goes to the file.
+    With `terminal` it stays in our group and has our terminal; only its stderr goes to the file. `cores`: those that it
+    and its children may use; none said: ours.
 
     It gets SIGTERM when the thread that started it dies, kill -9 included, so start it from the main thread.
     """
@@ -68,6 +69,7 @@ class Child:
         nice: int = 0,
         environment: dict[str, str] | None = None,
         terminal: bool = False,
+        cores: Sequence[int] = (),
     ) -> None:
         self._grouped = not terminal
         self.name = name
@@ -85,6 +87,8 @@ class Child:
                 os._exit(1)
             if nice:
                 os.nice(nice)
+            if cores:
+                os.sched_setaffinity(0, cores)
 
         with out.open("ab") as file:
             self._process = subprocess.Popen(

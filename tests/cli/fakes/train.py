@@ -1,9 +1,11 @@
 """Stand-in for `tandem train`: train.py RUN SECONDS. Works as often as it is started, for SECONDS, then finishes.
 
-RUN/starts has a line (monotonic time) a start, RUN/ends one a good end. FAIL in the folder's name: it fails.
+RUN/starts has a line (monotonic time) a start, RUN/ends one a good end; RUN/cores: the cores that it may use.
+FAIL in the folder's name: it fails.
 """
 
 import json
+import os
 import signal
 import sys
 import time
@@ -22,6 +24,7 @@ signal.signal(signal.SIGINT, stop)
 signal.signal(signal.SIGTERM, stop)
 folder.mkdir(parents=True, exist_ok=True)
 (folder / "scenario.yaml").touch()
+(folder / "cores").write_text(" ".join(map(str, sorted(os.sched_getaffinity(0)))))
 with (folder / "starts").open("a") as file:
     file.write(f"{time.monotonic()}\n")
 print("begun", flush=True)

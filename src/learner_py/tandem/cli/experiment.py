@@ -17,7 +17,9 @@ SeedsOption = Annotated[str, typer.Option(help="Training seeds, comma-separated.
 JobsOption = Annotated[
     int | None,
     typer.Option(
-        min=1, max=1024, help="Runs at a time; each keeps two cores busy [default: half the cores]."
+        min=1,
+        max=1024,
+        help="Runs at a time, each on cores of its own [default: as many as there are cores].",
     ),
 ]
 RayOption = Annotated[
@@ -69,12 +71,12 @@ def carry_out(runs: "Sequence[Run]", jobs: int | None, ray: str | None) -> list[
             print(line, flush=True)
 
     try:
-        machine: machines.Machine = machines.RayMachine(ray, jobs) if ray else machines.ThisMachine()
+        machine: machines.Machine = machines.RayMachine(ray, jobs) if ray else machines.ThisMachine(jobs)
     except machines.MachineError as error:
         fail(str(error), 2)
     try:
         with interruptible() as interrupted:
-            at_a_time = jobs or runner.default_jobs(machine.cores)
+            at_a_time = jobs or machine.cores
             outcome = runner.spread(runs, machine, at_a_time, say, interrupted)
     finally:
         machine.close()

@@ -8,6 +8,7 @@ import logging
 import os
 import signal
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -44,27 +45,46 @@ class Machine(Protocol):
 
 
 class _LocalTask:
-    def __init__(self, child: Child) -> None:
+    def __init__(self, child: Child, give_back: Callable[[], None]) -> None:
         self.child = child
+        self.give_back = give_back  # its cores
 
     def poll(self) -> int | None:
-        return self.child.poll()
+        code = self.child.poll()
+        if code is not None:
+            self.give_back()
+        return code
 
     def interrupt(self) -> None:
         self.child.send(signal.SIGINT)
 
 
 class ThisMachine:
-    """Children of this process; they end in good order when it dies, kill -9 included."""
+    """Children of this process; they end in good order when it dies, kill -9 included.
 
-    def __init__(self) -> None:
-        self.cores = len(os.sched_getaffinity(0))
+    Each of `jobs` [all cores] has cores of its own: trainings that share theirs wait for one another at every step.
+    """
+
+    def __init__(self, jobs: int | None = None) -> None:
+        cores = sorted(os.sched_getaffinity(0))
+        self.cores = len(cores)
+        self._shares = shares(cores, jobs or self.cores)
 
     def start(self, name: str, command: Command, out: Path) -> Task:
-        return _LocalTask(Child(name, command, out))
+        share = self._shares.pop(0) if self._shares else []
+        return _LocalTask(Child(name, command, out, cores=share), lambda: self._give_back(share))
+
+    def _give_back(self, share: list[int]) -> None:
+        if share and share not in self._shares:
+            self._shares.append(share)
 
     def close(self) -> None:
         pass
+
+
+def shares(cores: Sequence[int], jobs: int) -> list[list[int]]:
+    """The cores of each of so many runs at a time, none twice; empty when there are fewer cores than runs."""
+    return [list(cores[i::jobs]) for i in range(jobs)] if jobs <= len(cores) else []
 
 
 # ---- Ray

@@ -35,11 +35,6 @@ class _Going:
     out_start: int  # bytes of its output file that earlier calls wrote
 
 
-def default_jobs(cores: int) -> int:
-    """A run keeps two cores busy: the arm's and the learner's."""
-    return max(1, cores // 2)
-
-
 def spread(
     runs: Sequence[Run],
     machine: Machine,
