@@ -179,6 +179,13 @@ def test_every_shipped_ablation_composes_and_can_be_learnt(name: str, tmp_path: 
             assert one.first_difference(other.copy_with(method=one.run["method"])) is not None
 
 
+def test_some_variants_can_be_run_without_the_others(tmp_path: Path) -> None:
+    chosen = ablation.load("critic")
+    assert [run.label for run in chosen.only(["td_8", "mc"]).runs(tmp_path, [0])] == ["mc", "td_8"]
+    with pytest.raises(ScenarioError, match="critic has no variant 'td_9'; the nearest is td_8"):
+        chosen.only(["td_9"])
+
+
 def test_ablations_are_listed_with_their_question() -> None:
     result = CliRunner().invoke(app, ["ablate", "--list"])
     assert result.exit_code == 0, result.output

@@ -26,6 +26,10 @@ def ablate(
         Path | None,
         typer.Option(metavar="DIR", help="Folder of the run folders [default: runs/ablations/NAME]."),
     ] = None,
+    variants: Annotated[
+        str | None,
+        typer.Option(metavar="LABELS", help="Only these variants, comma-separated [default: all]."),
+    ] = None,
     jobs: JobsOption = None,
     ray: RayOption = None,
     collect_only: CollectOption = False,
@@ -51,6 +55,8 @@ def ablate(
         if name is None:
             fail(f"name one of the ablations: {', '.join(ablation.names())}; --list says what they ask.", 2)
         chosen = ablation.load(name)
+        if variants is not None:
+            chosen = chosen.only(variants.split(","))
         folder = (runs or ablation.FOLDER / name).absolute()
         asked = chosen.runs(folder, seed_numbers(seeds), typed(overrides))
         failed = [] if collect_only else carry_out(asked, jobs, ray)

@@ -15,7 +15,7 @@ import difflib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,15 @@ class Ablation:
     task: str
     settings: tuple[Setting, ...]  # of all variants
     variants: tuple[Variant, ...]
+
+    def only(self, labels: Sequence[str]) -> "Ablation":
+        """With these of its variants. @raises ScenarioError when it has no such one."""
+        known = [variant.label for variant in self.variants]
+        for label in labels:
+            if label not in known:
+                near = difflib.get_close_matches(label, known, n=1, cutoff=0.0)[0]
+                raise ScenarioError(f"{self.name} has no variant {label!r}; the nearest is {near}.")
+        return replace(self, variants=tuple(v for v in self.variants if v.label in labels))
 
     def runs(self, folder: Path, seeds: Sequence[int], further: Sequence[Setting] = ()) -> list[Run]:
         """Variants x seeds, seed by seed, in `folder`/LABEL-seedS. further: settings from the command line.
