@@ -195,12 +195,11 @@ bool ScriptedOperator::has_reason(const world_state_t& world, const View& now) {
   const bool lost = since_best_ > rules_.no_progress_steps * patience;
   const bool away = now.distance > best_distance_ + rules_.away_m;
   const bool rough = force_steps_ >= rules_.force_steps;
+  const bool carries = world.grasp_width > 0.0 && now.leg == Leg::place;
   const double off_axis = now.tip.head<2>().norm();
-  const bool strikes = world.grasp_width > 0.0 && now.leg == Leg::place &&
-                       now.tip.z() < rules_.low_m && off_axis > kInside &&
-                       off_axis < rules_.beside_m;
-  const bool askew = world.grasp_width > 0.0 && now.leg == Leg::place &&
-                     now.tilt > rules_.askew_rad && now.tip.z() > -rules_.seated_m;
+  const bool strikes =
+      carries && now.tip.z() < rules_.low_m && off_axis > kInside && off_axis < rules_.beside_m;
+  const bool askew = carries && now.tilt > rules_.askew_rad && now.tip.z() > -rules_.seated_m;
   const bool late =
       world.max_steps - world.step < rules_.hurry_steps && now.tip.z() > -rules_.seated_m;
   return lost || away || rough || strikes || askew || late;
