@@ -86,12 +86,11 @@ def test_cores_are_shared_out_once_and_left_alone_when_there_are_too_few() -> No
 
 def test_runs_at_the_same_time_have_cores_of_their_own(tmp_path: Path) -> None:
     machine = ThisMachine(2)
-    if machine.cores < 2:
-        pytest.skip("one core")
     wanted = runs(tmp_path, "a", "b", "c", "d")
     assert spread(wanted, machine, 2, print, lambda: 0, lambda run: fake(run, 0.5)) == Outcome()
     first, second, *later = [(run.folder.path / "cores").read_text() for run in wanted]
-    assert first != second and set(later) == {first, second}
+    assert len({first, second}) == min(2, machine.cores)  # with one core they have to share it
+    assert set(later) == {first, second}
 
 
 def test_each_event_is_one_line_with_what_is_done_of_all(tmp_path: Path) -> None:

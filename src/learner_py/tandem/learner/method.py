@@ -272,14 +272,14 @@ class Method:
     @cached_property
     def deployed(self) -> tuple[str, HeadConfig]:
         """Architecture and config of the policy file."""
-        architecture, config = self.seeing
+        architecture, config = self.behind_encoder
         if self.sight is None:
             return architecture, config
         head = {"architecture": architecture, "config": config.model_dump()}
         return "encoded", encoded.Config.model_validate({**self.sight.model_dump(), "head": head})
 
     @cached_property
-    def seeing(self) -> tuple[str, HeadConfig]:
+    def behind_encoder(self) -> tuple[str, HeadConfig]:
         """Architecture and config of the policy but its encoder."""
         architecture, config = self.decision
         if not self.grasps:
@@ -322,10 +322,10 @@ class Method:
         """The parameters of the deployed policy, of the learner's networks."""
         _, config = self.deployed
         if isinstance(config, encoded.Config):
-            return encoded.together(networks["encoder"], config, self._seeing(networks))
-        return self._seeing(networks)
+            return encoded.together(networks["encoder"], config, self._behind_encoder(networks))
+        return self._behind_encoder(networks)
 
-    def _seeing(self, networks: Networks) -> Params:
+    def _behind_encoder(self, networks: Networks) -> Params:
         deciding = self._deciding(networks)
         return {"actor": deciding, "grasp": networks["grasp"]} if self.grasps else deciding
 
@@ -345,8 +345,8 @@ class Method:
 
     def decide(self, networks: Networks, x: Array, noise: Array) -> Array:
         """What is seen behind the encoder (B, O or O + F), noise -> the chunks (B, h, A) that the arm executes."""
-        architecture, config = self.seeing
-        return HEADS[architecture].chunk(self._seeing(networks), config, x, noise, {})
+        architecture, config = self.behind_encoder
+        return HEADS[architecture].chunk(self._behind_encoder(networks), config, x, noise, {})
 
     @property
     def noise_size(self) -> int:
