@@ -8,7 +8,8 @@ ray_needed=no     # `table --ray`, `ablate --ray`, and their tests
 rerun_needed=no   # `export rerun`, `bench export`, and their tests
 lerobot_needed=no # LeRobot's own reader: tests alone
 test_needed=no    # Debian packages of tests alone
-peers_needed=no   # ONNX Runtime and OpenVINO, and the programs that stand beside them in `bench policy`
+peers_needed=no   # ONNX Runtime and OpenVINO, for `bench policy`
+more_targets=()   # programs that one command alone needs
 
 say() { printf 'tandem: %s\n' "$*" >&2; }
 die() { say "$*"; exit 1; }
@@ -173,7 +174,7 @@ configure() {
 build_programs() {
   local log=$setup_dir/build.log start=$SECONDS target=() line shown=no
   grep -q '^build programs:' build/build.ninja && target=(programs lcm_types_python)
-  [ "$peers_needed" = no ] || [ ${#target[@]} -eq 0 ] || target+=(policy_contenders)
+  [ ${#target[@]} -eq 0 ] || target+=("${more_targets[@]}")
   : >"$log"
   # 9>&- keeps the lock from processes that outlive this call.
   NINJA_STATUS='[%f/%t] ' ninja -C build "${target[@]}" 2>&1 </dev/null 9>&- | while IFS= read -r line; do
@@ -224,8 +225,8 @@ setup_loopback() {
 setup_all() {
   case "${1:-} ${2:-}" in
     "bench sim") extras_needed=required ;;
-    "bench policy") peers_needed=yes ;;
-    "bench learner") test_needed=yes ;;
+    "bench policy") peers_needed=yes more_targets=(policy_contenders) ;;
+    "bench learner") test_needed=yes more_targets=(tandem_machine_limits) ;;
     "test "*) test_needed=yes ray_needed=yes rerun_needed=yes lerobot_needed=yes ;;
     "export rerun" | "bench export") rerun_needed=yes ;;
     "train "* | "demo "*) extras_needed=wanted ;;
@@ -233,7 +234,7 @@ setup_all() {
   for word in "$@"; do
     case "$word" in
       --ray | --ray=*) ray_needed=yes ;;
-      --help | -h) extras_needed=no test_needed=no ray_needed=no rerun_needed=no lerobot_needed=no peers_needed=no; break ;;
+      --help | -h) extras_needed=no test_needed=no ray_needed=no rerun_needed=no lerobot_needed=no peers_needed=no more_targets=(); break ;;
     esac
   done
 
