@@ -74,6 +74,14 @@ def test_act_learns_to_repeat_what_it_sees():
     assert np.abs(sampled(act, params, x) - 0.8 * x).mean() < 0.06
 
 
+def test_act_that_draws_samples_both_of_two_ways():
+    act = actor_of("act", sample_latent=True)
+    params = imitating(act, one_of_two, steps=400, rate=3e-3, n=48)
+    way = sampled(act, params, np.zeros((200, 3), np.float32))[:, 0]
+    assert 0.3 < (way > 0).mean() < 0.7
+    assert (np.abs(np.abs(way) - 0.7) < 0.25).mean() > 0.65
+
+
 def test_imitation_masks_the_padding():
     actor = Method(support.scenario(method="bc", horizon=2, head={"kind": "mlp"})).actor
     params = jax.tree.map(jnp.zeros_like, actor.init(np.random.default_rng(0)))  # always zero

@@ -3,8 +3,8 @@
     memory = encoder([latent, tokens ..., features of camera 1 row by row, camera 2 ...])
     chunk  = head(decoder(h learnt queries, memory))
 
-The latent is zero, or drawn when `sample_latent` is set; the network that would infer it from actions belongs to
-training alone. LeRobot's and the original ACT's inference, post-norm.
+The latent is zero, or drawn when `sample_latent` is set; no network infers it from actions (see `imitation_error`).
+LeRobot's and the original ACT's inference, post-norm.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from pydantic import Field, model_validator
 
 from tandem.learner.networks import image, transformer
@@ -21,6 +22,8 @@ from tandem.learner.networks.base import Array, Horizon, Images, Params, array
 from tandem.learner.networks.image import Camera
 from tandem.learner.networks.mlp import OUTPUT_GAIN
 from tandem.learner.networks.transformer import dense
+
+LATENTS_TRIED = 4  # for each row that is imitated
 
 
 class Config(transformer.Stack):
@@ -105,6 +108,17 @@ def chunk(params: Params, config: Config, x: Array, noise: Array, images: Images
 
 
 def imitation_error(params: Params, config: Config, x: Array, target: Array, key: Array) -> Array:
-    """Squared error (B, h, A) of the chunk; the latent is as when acting. No images."""
-    noise = jax.random.normal(key, (len(x), noise_size(config, target.shape[2])))
-    return jnp.square(chunk(params, config, x, noise, {}) - target)
+    """Squared error (B, h, A) of the chunk. No images.
+
+    With `sample_latent`, of the nearest of LATENTS_TRIED chunks (implicit maximum likelihood, Li and Malik 2018): some
+    latent must lead to every target. A latent drawn once for each target would come to mean nothing, and all samples
+    to be their mean.
+    """
+    if not config.sample_latent:
+        return jnp.square(chunk(params, config, x, jnp.zeros((len(x), 0)), {}) - target)
+    latents = jax.random.normal(key, (LATENTS_TRIED, len(x), config.latent_size))
+    rows, flat = jnp.tile(x, (LATENTS_TRIED, 1)), latents.reshape(-1, config.latent_size)
+    tried = chunk(lax.stop_gradient(params), config, rows, flat, {})
+    distance = jnp.square(tried.reshape(LATENTS_TRIED, *target.shape) - target).sum(axis=(2, 3))
+    nearest = latents[distance.argmin(axis=0), jnp.arange(len(x))]
+    return jnp.square(chunk(params, config, x, nearest, {}) - target)
