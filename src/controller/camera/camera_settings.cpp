@@ -17,6 +17,7 @@ CameraSettings read_camera(Section section) {
   settings.name = section.text("name");
   settings.width = static_cast<int>(section.integer("width_px", 16, 512));
   settings.height = static_cast<int>(section.integer("height_px", 16, 512));
+  settings.crop = section.number("crop", 0.1, 1.0);
   settings.jpeg_quality = static_cast<int>(section.integer("jpeg_quality", 10, 100));
   Section jitter = section.section("jitter");
   settings.jitter.light = jitter.number("light", 0.0, 0.9);

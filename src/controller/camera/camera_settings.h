@@ -19,6 +19,7 @@ struct CameraSettings {
 
   std::string name;           ///< of the camera in the scene
   int width = 0, height = 0;  ///< px
+  double crop = 1.0;          ///< of the camera's view, a side, about its centre
   int jpeg_quality = 0;
   Jitter jitter;
 

@@ -50,6 +50,8 @@ CameraView::CameraView(const Simulation& simulation, const CameraSettings& setti
                              std::to_string(SceneState::kMaxNumbers) + ". Use fewer bodies.");
   }
   hide_carrier();
+  mjtNum& fovy = model_->cam_fovy[camera_id_];  // degrees; less of it is the crop, drawn in full
+  fovy = 360.0 / mjPI * std::atan(settings.crop * std::tan(fovy * mjPI / 360.0));
   model_->vis.global.offwidth = kOversampling * settings.width;
   model_->vis.global.offheight = kOversampling * settings.height;
   model_->vis.quality.offsamples = 0;  // the averaging down does it

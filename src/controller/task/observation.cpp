@@ -63,24 +63,10 @@ void Observation::hide_truth() {
   };
   std::vector<std::string> names;
   std::vector<int> terms;
-  // Where the tool is, too: without the truth there is nothing else to measure places from.
-  const std::vector<std::string> known = all_terms();
-  for (const char* tool : {"tool_x", "tool_y", "tool_z", "tool_rz"}) {
-    if (std::find(names_.begin(), names_.end(), tool) != names_.end()) continue;
-    names.push_back(tool);
-    terms.push_back(static_cast<int>(std::find(known.begin(), known.end(), tool) - known.begin()));
-  }
   for (size_t i = 0; i < names_.size(); ++i) {
     if (is_truth(names_[i])) continue;
     names.push_back(names_[i]);
     terms.push_back(terms_[i]);
-  }
-  if (names.size() > kMaxObservation) {
-    throw ScenarioError(
-        "task.observation has " + std::to_string(names.size()) +
-        " names with tool_x, tool_y, tool_z, tool_rz, which run.observe image adds; "
-        "it must have at most " +
-        std::to_string(kMaxObservation) + ".");
   }
   names_ = names;
   terms_ = terms;

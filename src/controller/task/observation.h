@@ -34,8 +34,7 @@ class Observation {
   /// Reads `observation` (names) and `observation_noise` of the task section. @throws ScenarioError
   Observation(Section& task, const TaskSpec& spec);
 
-  /// Leaves out goal_* and object_*, for a policy that has to see them, and tells it where its tool
-  /// is (x, y, z, rz). @throws ScenarioError when that is too much.
+  /// Leaves out goal_* and object_*, for a policy that has to see them.
   void hide_truth();
 
   int size() const noexcept { return static_cast<int>(terms_.size()); }

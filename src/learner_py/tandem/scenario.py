@@ -341,11 +341,10 @@ def validate_run(scenario: Scenario) -> None:
 
 
 def observed(observe: str, terms: list[str]) -> list[str]:
-    """Names of the numbers that a policy is told. With images: where the tool is, not what it can see for itself."""
+    """Names of the numbers that a policy is told. With images: without what it can see for itself."""
     if observe == "state":
         return terms
-    own = [term for term in terms if not term.startswith(("goal_", "object_"))]
-    return [term for term in ("tool_x", "tool_y", "tool_z", "tool_rz") if term not in own] + own
+    return [term for term in terms if not term.startswith(("goal_", "object_"))]
 
 
 def names(folder: Path) -> list[str]:

@@ -130,6 +130,7 @@ TEST(CameraView, PoseAndFocalLengthSayWhereAThingIsInTheImage) {
     Eigen::Vector3d::Map(model->geom_pos + 3 * box) = offset;
     CameraSettings large = settings();
     large.width = large.height = 256;
+    large.crop = offset.x() < 0.04 ? 0.8 : 1.0;
     CameraView view(rig.simulation, large);
     const auto frame = view.frame(state_of(rig, 3));
     rig.simulation.forward();

@@ -71,7 +71,7 @@ TEST_F(PolicyLoaderTest, TaskThatIsSeenTakesNoPolicyThatWasToldWhereThingsAre) {
   task_->hide_truth();
   for (const std::string& name : task_->observation().names())
     EXPECT_EQ(name.find("goal"), std::string::npos);
-  EXPECT_EQ(task_->observation().size(), 18);
+  EXPECT_EQ(task_->observation().size(), 15);
   EXPECT_NE(refusal(told).find("trained on the observation"), std::string::npos);
   EXPECT_EQ(refusal(peg_policy(1)), "");
 }

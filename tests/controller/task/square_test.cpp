@@ -92,18 +92,14 @@ TEST(SquareTask, SuccessAsksToLetGo) {
   EXPECT_FALSE(rig.task->succeeded(rig.truth(), rig.simulation));
 }
 
-TEST(SquareTask, PolicyThatSeesIsToldWhereTheToolIsInPlaceOfTheTruth) {
+TEST(SquareTask, PolicyThatSeesIsNotToldWhereThingsAre) {
   SquareRig rig;
-  const std::vector<std::string> told = rig.task->observation().names();
-  EXPECT_EQ(told.front(), "tool_z") << "places are relative to the goal and the object";
+  std::vector<std::string> expected;  // as `observed` of scenario.py says it
+  for (const std::string& name : rig.task->observation().names())
+    if (name.rfind("goal", 0) && name.rfind("object", 0)) expected.push_back(name);
   rig.task->hide_truth();
-  std::vector<std::string> seen = rig.task->observation().names();
-  ASSERT_GT(seen.size(), 4u);
-  for (const std::string& name : seen)
-    EXPECT_TRUE(name.rfind("goal", 0) && name.rfind("object", 0)) << name;
-  // As `observed` of scenario.py says it.
-  EXPECT_EQ(std::vector<std::string>(seen.begin(), seen.begin() + 4),
-            (std::vector<std::string>{"tool_x", "tool_y", "tool_rz", "tool_z"}));
+  EXPECT_EQ(rig.task->observation().names(), expected);
+  EXPECT_LT(expected.size(), 24u);
 }
 
 }  // namespace
