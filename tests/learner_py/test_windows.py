@@ -7,7 +7,7 @@ import pytest
 import support
 from tandem_lcm.tandem.episode_end_t import episode_end_t
 
-from tandem.learner.windows import make_windows
+from tandem.learner.windows import make_windows, rest_of_the_way
 
 ALL_AXES = range(7)
 
@@ -146,3 +146,14 @@ def test_learning_uses_what_was_executed_not_what_was_asked():
     result = windows(support.episode(0, n_steps=3))
     assert result.chunk.min() >= 0.0  # human asked -0.5, policy 0.5
     assert result.chunk.max() < 0.1
+
+
+def test_rest_of_the_way_ends_where_the_hand_is_told_otherwise_and_is_unknown_without_success():
+    actions = np.zeros((5, 7), np.float32)
+    actions[:, 0] = [0.5, 1.0, -0.25, 1.0, 1.0]
+    actions[:, 6] = [-1.0, -1.0, 1.0, 1.0, 1.0]
+    done = support.episode(0, executed=actions)
+    np.testing.assert_allclose(rest_of_the_way(done)[:, 0], [1.5, 1.0, 1.75, 2.0, 1.0])
+    assert rest_of_the_way(done).shape == (5, 6)
+    failed = support.episode(0, n_steps=5, outcome=episode_end_t.TIMEOUT)
+    assert np.isnan(rest_of_the_way(failed)).all()

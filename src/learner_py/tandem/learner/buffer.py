@@ -67,6 +67,7 @@ class ReplayBuffer:
             n_step_return=np.zeros(1, np.float32),
             bootstrap=np.zeros(1, np.float32),
             image=black,
+            rest=None if black is None else np.zeros((1, 6), np.float32),
             next_image=black if next_images else None,
         )
         first = FIRST_ALLOCATION if image_size is None else FIRST_ALLOCATION_WITH_IMAGES

@@ -186,6 +186,7 @@ class ImageEncoder(Strict):
     features: int = Field(ge=1, le=1024)
     shift_px: int = Field(ge=0, le=16)
     actor_teaches: bool
+    rest_weight: float = Field(ge=0, le=100)
     batch: int = Field(ge=1, le=65_536)
     updates_per_env_step: float = Field(ge=0, le=100)
 

@@ -35,12 +35,13 @@ from tandem.learner.networks import (
     init_ensemble,
     init_mlp,
 )
-from tandem.learner.networks.mlp import OUTPUT_GAIN
+from tandem.learner.networks.mlp import OUTPUT_GAIN, forward
 from tandem.learner.windows import Windows, make_windows
 
-Networks = dict[str, Params]  # by role: actor, critic, value, grasp, edit, temperature, encoder
+Networks = dict[str, Params]  # by role: actor, critic, value, grasp, edit, temperature, encoder, rest
 
 HALF_OPEN_M = 0.04  # of the hand's 80 mm
+REST_SCALE = 4.0  # steps at full action: what is left of the way is told in these
 AVERAGED = ("actor", "edit", "critic", "grasp", "encoder")
 
 
@@ -53,7 +54,9 @@ class LearnerState(NamedTuple):
     critic_optimizer: optax.OptState
     actor_optimizer: optax.OptState
     updates: Array  # int32, gradient updates so far
-    encoder: Networks  # the image encoder that actor and critics look through; empty when they don't
+    encoder: (
+        Networks  # what actor and critics look through, and what it tells of the way; empty when they don't
+    )
     encoder_optimizer: optax.OptState
 
 
@@ -67,6 +70,9 @@ class Batch(NamedTuple):
     n_step_return: Array  # (B,)
     bootstrap: Array  # (B,)
     image: Array | None = None  # (B, H, W, 3) uint8
+    rest: Array | None = (
+        None  # (B, 6) how far the arm still went, in steps at full action; NaN where nobody knows
+    )
     next_image: Array | None = None  # (B, H, W, 3) uint8
     closed: Array | None = None  # (B,) the hand was told to be closed; where a critic of its own decides that
     toggled: Array | None = None  # (B,) it had been told otherwise before
@@ -160,6 +166,7 @@ class Method:
         encoder: Networks = {}
         if self.sight is not None:
             encoder["encoder"] = encoded.init_encoder(generator, self.sight)
+            encoder["rest"] = init_mlp(generator, [n_obs, 6], layer_norm=False, output_gain=OUTPUT_GAIN)
         networks = actors | critics | encoder
         average = {name: net for name, net in networks.items() if name in AVERAGED}
         if learner.decision.with_reference:
@@ -248,6 +255,7 @@ class Method:
             next_x=(arrays["next_observation"][rows] - mean) * scale,
             **{name: arrays[name][rows] for name in names},
             **images,
+            rest=arrays["rest"][rows] if images else None,
         )
         if not self.grasps:
             return batch
@@ -431,13 +439,27 @@ class Method:
     ) -> tuple[Array, Array]:
         """Loss and policy_wins (B,). warm_start: imitate the batch, the critic is too young to rank."""
         kind = self.config.learner.improvement.kind
+        beside = self._rest_loss(encoder, batch) if self.sight is not None else 0.0
         if not self.config.learner.image.actor_teaches:
             encoder = lax.stop_gradient(encoder)
         batch = self.seen(encoder, batch)
         arguments = (self, trained, state.critics, batch, q_buffer, key)
         if kind == "imitate":
-            return imitate.loss(*arguments)
-        return lax.cond(warm_start, lambda: imitate.loss(*arguments), lambda: LOSSES[kind](*arguments))
+            loss, wins = imitate.loss(*arguments)
+        else:
+            loss, wins = lax.cond(
+                warm_start, lambda: imitate.loss(*arguments), lambda: LOSSES[kind](*arguments)
+            )
+        return loss + beside, wins
+
+    def _rest_loss(self, encoder: Networks, batch: Batch) -> Array:
+        """How wrong a linear map of what is seen tells the rest of the way: teaches the encoder where things are."""
+        assert batch.rest is not None, "the method has an encoder"
+        x = self.seen(encoder, batch).x
+        told = forward(encoder["rest"], x.T, "relu").T
+        known = jnp.isfinite(batch.rest)
+        error = jnp.where(known, told - jnp.where(known, batch.rest, 0.0) / REST_SCALE, 0.0)
+        return self.config.learner.image.rest_weight * jnp.abs(error).mean()
 
     def averages(self, state: LearnerState, networks: Networks, warm_start: Array) -> Networks:
         """The slow copies after an update that made `networks`."""

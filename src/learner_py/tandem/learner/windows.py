@@ -5,6 +5,8 @@
                 because the robot does hold; imitation masks it, because nobody chose it.
     r[t]        reward, less what the step's hardest contact costs
     G[t]        sum over k < T-t of gamma^k r[t+k]; a time-out earns 0 and nothing is bootstrapped
+    rest[t]     with images: how far the arm was still told to go from step t on, the sum of its actions until the hand
+                was told otherwise or the episode ended; NaN where the episode did not succeed, for then nobody knows
     R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], and what the value
                 of next_observation counts: gamma^min(n, T-t), 0 where the episode truly ended. A time-out is no end.
 
@@ -39,6 +41,7 @@ class Windows:
     n_step_return: Floats  # (T,) R
     bootstrap: Floats  # (T,) b
     image: Pixels | None = None  # (T, H, W, 3) RGB; None without a camera
+    rest: Floats | None = None  # (T, 6) in steps at full action; None without a camera
     next_image: Pixels | None = None  # (T, H, W, 3) of next_observation; None when nothing bootstraps
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -100,6 +103,7 @@ def make_windows(
         n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
         image=None if pixels is None else pixels[:-1],
+        rest=None if pixels is None else rest_of_the_way(episode),
         next_image=None if pixels is None or not next_images else pixels[ends],
     )
 
@@ -138,6 +142,22 @@ def discounted_returns(reward: Floats, discount: float) -> np.ndarray:
         running = float(reward[step]) + discount * running
         returns[step] = running
     return returns
+
+
+def rest_of_the_way(episode: Episode) -> Floats:
+    """(T, 6), in steps at full action: see `rest` above."""
+    action = episode.executed_action
+    rest = np.full((episode.n_steps, GRIPPER), np.nan, np.float32)
+    if episode.outcome != "success":
+        return rest
+    closed = action[:, GRIPPER] > 0.0
+    running = np.zeros(GRIPPER, np.float32)
+    for step in range(episode.n_steps - 1, -1, -1):
+        if step + 1 < episode.n_steps and closed[step + 1] != closed[step]:
+            running = np.zeros(GRIPPER, np.float32)
+        running = running + action[step, :GRIPPER]
+        rest[step] = running
+    return rest
 
 
 def with_discount(episode: Episode, discount: float) -> Episode:
