@@ -133,7 +133,8 @@ def scenario_data(
             "env_steps": env_steps, "learner_lag": 1, "evaluation_every": 20, "observe": observe,
         },
         "task": {
-            "name": "peg", "policy_rate_hz": 10, "max_steps": 30, "observation": ["a", "b", "gripper_commanded"],
+            "name": "peg", "policy_rate_hz": 10, "max_steps": 30,
+            "translation_limit_m": 0.01, "rotation_limit_rad": 0.1, "observation": ["a", "b", "gripper_commanded"],
             "action_axes": ["x", "rz", "gripper"],
         },
         "controller": {"camera": {"name": "wrist", "width_px": 16, "height_px": 24}},

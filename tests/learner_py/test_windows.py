@@ -149,11 +149,13 @@ def test_learning_uses_what_was_executed_not_what_was_asked():
 
 
 def test_rest_of_the_way_ends_where_the_hand_is_told_otherwise_and_is_unknown_without_success():
-    actions = np.zeros((5, 7), np.float32)
+    actions, lead = np.zeros((5, 7), np.float32), np.zeros((6, 6), np.float32)
     actions[:, 0] = [0.5, 1.0, -0.25, 1.0, 1.0]
     actions[:, 6] = [-1.0, -1.0, 1.0, 1.0, 1.0]
+    lead[2, 0], lead[5, 0] = 0.001, 0.004  # it pushes when the hand closes, and harder at the end
+    limit = np.full(6, 0.01, np.float32)
     done = support.episode(0, executed=actions)
-    np.testing.assert_allclose(rest_of_the_way(done)[:, 0], [1.5, 1.0, 1.75, 2.0, 1.0])
-    assert rest_of_the_way(done).shape == (5, 6)
+    expected = [0.014, 0.009, 0.0145, 0.016, 0.006]
+    np.testing.assert_allclose(rest_of_the_way(done, lead, limit)[:, 0], expected, atol=1e-7)
     failed = support.episode(0, n_steps=5, outcome=episode_end_t.TIMEOUT)
-    assert np.isnan(rest_of_the_way(failed)).all()
+    assert np.isnan(rest_of_the_way(failed, lead, limit)).all()

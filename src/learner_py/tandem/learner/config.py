@@ -311,6 +311,8 @@ class TaskConfig(Lenient):
     name: str
     max_steps: int = Field(ge=1)
     observation: list[str] = Field(min_length=1)
+    translation_limit_m: float = Field(gt=0)  # that an action of 1 moves the commanded pose by
+    rotation_limit_rad: float = Field(gt=0)
     action_axes: list[Literal["x", "y", "z", "rx", "ry", "rz", "gripper"]] = Field(min_length=1)
 
     @model_validator(mode="after")

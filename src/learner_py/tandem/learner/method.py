@@ -20,7 +20,7 @@ from tandem.learner.actor import Actor, make_actor
 from tandem.learner.buffer import Arrays
 from tandem.learner.config import LearnerScenario, MethodConfig
 from tandem.learner.critic import bootstrap_value, expectile_loss, grasp_loss, regression_loss, state_value
-from tandem.learner.episode import Bools, Episode
+from tandem.learner.episode import ACTION_AXES, Bools, Episode, Floats
 from tandem.learner.improvement import LOSSES, imitate, sac
 from tandem.learner.networks import (
     HEADS,
@@ -41,7 +41,7 @@ from tandem.learner.windows import Windows, make_windows
 Networks = dict[str, Params]  # by role: actor, critic, value, grasp, edit, temperature, encoder, rest
 
 HALF_OPEN_M = 0.04  # of the hand's 80 mm
-REST_SCALE = 4.0  # steps at full action: what is left of the way is told in these
+REST_SCALE = np.array([0.05] * 3 + [0.4] * 3, np.float32)  # m, rad: what is left of the way is told in these
 AVERAGED = ("actor", "edit", "critic", "grasp", "encoder")
 
 
@@ -70,9 +70,7 @@ class Batch(NamedTuple):
     n_step_return: Array  # (B,)
     bootstrap: Array  # (B,)
     image: Array | None = None  # (B, H, W, 3) uint8
-    rest: Array | None = (
-        None  # (B, 6) how far the arm still went, in steps at full action; NaN where nobody knows
-    )
+    rest: Array | None = None  # (B, 6) m, rad: how far the tool still went; NaN where nobody knows
     next_image: Array | None = None  # (B, H, W, 3) uint8
     closed: Array | None = None  # (B,) the hand was told to be closed; where a critic of its own decides that
     toggled: Array | None = None  # (B,) it had been told otherwise before
@@ -207,7 +205,19 @@ class Method:
             timeout_is_terminal=critic.td.timeout_is_terminal,
             image_size=self.scenario.image_size,
             next_images=self.bootstraps,
+            **(self._tool_motion(episode) if self.sight is not None else {}),
         )
+
+    def _tool_motion(self, episode: Episode) -> dict[str, Floats]:
+        """What rest_of_the_way asks for beside the actions; a lead that the task's observation lacks counts as none."""
+        names, task = self.scenario.observation, self.scenario.task
+        observed = np.concatenate([episode.observation, episode.next_observation[-1:]])
+        lead = np.zeros((episode.n_steps + 1, 6), np.float32)
+        for column, axis in enumerate(ACTION_AXES[:6]):
+            if f"lead_{axis}" in names:
+                lead[:, column] = observed[:, names.index(f"lead_{axis}")]
+        limit = np.repeat([task.translation_limit_m, task.rotation_limit_rad], 3).astype(np.float32)
+        return {"lead": lead, "action_limit": limit}
 
     @property
     def draws(self) -> dict[str, float]:

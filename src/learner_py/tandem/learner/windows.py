@@ -5,8 +5,8 @@
                 because the robot does hold; imitation masks it, because nobody chose it.
     r[t]        reward, less what the step's hardest contact costs
     G[t]        sum over k < T-t of gamma^k r[t+k]; a time-out earns 0 and nothing is bootstrapped
-    rest[t]     with images: how far the arm was still told to go from step t on, the sum of its actions until the hand
-                was told otherwise or the episode ended; NaN where the episode did not succeed, for then nobody knows
+    rest[t]     with images: how far the tool still went from step t on, until the hand was told otherwise or the
+                episode ended; NaN where the episode did not succeed, for then nobody knows
     R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], and what the value
                 of next_observation counts: gamma^min(n, T-t), 0 where the episode truly ended. A time-out is no end.
 
@@ -41,7 +41,7 @@ class Windows:
     n_step_return: Floats  # (T,) R
     bootstrap: Floats  # (T,) b
     image: Pixels | None = None  # (T, H, W, 3) RGB; None without a camera
-    rest: Floats | None = None  # (T, 6) in steps at full action; None without a camera
+    rest: Floats | None = None  # (T, 6) m and rad; None without a camera
     next_image: Pixels | None = None  # (T, H, W, 3) of next_observation; None when nothing bootstraps
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -61,6 +61,8 @@ def make_windows(
     timeout_is_terminal: bool = False,
     image_size: tuple[int, int] | None = None,
     next_images: bool = False,
+    lead: Floats | None = None,
+    action_limit: Floats | None = None,
 ) -> Windows:
     """Cuts a learnable episode into windows. `columns`: the active axes among the 7 numbers of an action.
 
@@ -68,7 +70,7 @@ def make_windows(
     rescue counts as failure of what came before); human steps, and autonomous ones after the last takeover, keep G.
     force_cost_per_N: what each newton costs by which a step's largest contact force exceeds force_free_N.
     image_size: height and width of the images, None when they are not looked at; next_images: those of
-    next_observation too.
+    next_observation too. lead, action_limit: for rest_of_the_way; None when nobody asks for it.
     bootstrap_steps: n. timeout_is_terminal: b is 0 after a time-out too, as in HIL-SERL.
     """
     if not episode.is_learnable:
@@ -103,7 +105,7 @@ def make_windows(
         n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
         image=None if pixels is None else pixels[:-1],
-        rest=None if pixels is None else rest_of_the_way(episode),
+        rest=None if lead is None or action_limit is None else rest_of_the_way(episode, lead, action_limit),
         next_image=None if pixels is None or not next_images else pixels[ends],
     )
 
@@ -144,19 +146,25 @@ def discounted_returns(reward: Floats, discount: float) -> np.ndarray:
     return returns
 
 
-def rest_of_the_way(episode: Episode) -> Floats:
-    """(T, 6), in steps at full action: see `rest` above."""
-    action = episode.executed_action
+def rest_of_the_way(episode: Episode, lead: Floats, action_limit: Floats) -> Floats:
+    """(T, 6), m and rad: see `rest` above.
+
+    The tool goes where its commanded pose goes, less what that leads by. lead (T + 1, 6): commanded minus measured pose
+    at each observation, the last of the end. action_limit (6,): what an action of 1 moves the commanded pose by.
+    """
     rest = np.full((episode.n_steps, GRIPPER), np.nan, np.float32)
     if episode.outcome != "success":
         return rest
-    closed = action[:, GRIPPER] > 0.0
-    running = np.zeros(GRIPPER, np.float32)
+    moved = episode.executed_action[:, :GRIPPER] * action_limit - np.diff(
+        lead, axis=0
+    )  # the tool, in each step
+    closed = episode.executed_action[:, GRIPPER] > 0.0
+    ahead = np.zeros(GRIPPER, np.float32)
     for step in range(episode.n_steps - 1, -1, -1):
         if step + 1 < episode.n_steps and closed[step + 1] != closed[step]:
-            running = np.zeros(GRIPPER, np.float32)
-        running = running + action[step, :GRIPPER]
-        rest[step] = running
+            ahead = np.zeros(GRIPPER, np.float32)
+        ahead = ahead + moved[step]
+        rest[step] = ahead
     return rest
 
 
