@@ -164,7 +164,7 @@ class Method:
         encoder: Networks = {}
         if self.sight is not None:
             encoder["encoder"] = encoded.init_encoder(generator, self.sight)
-            encoder["rest"] = init_mlp(generator, [n_obs, 6], layer_norm=False, output_gain=OUTPUT_GAIN)
+            encoder["rest"] = init_mlp(generator, [self.sight.features, 6], False, OUTPUT_GAIN)
         networks = actors | critics | encoder
         average = {name: net for name, net in networks.items() if name in AVERAGED}
         if learner.decision.with_reference:
@@ -463,10 +463,13 @@ class Method:
         return loss + beside, wins
 
     def _rest_loss(self, encoder: Networks, batch: Batch) -> Array:
-        """How wrong a linear map of what is seen tells the rest of the way: teaches the encoder where things are."""
-        assert batch.rest is not None, "the method has an encoder"
-        x = self.seen(encoder, batch).x
-        told = forward(encoder["rest"], x.T, "relu").T
+        """How wrong a linear map of the image's features tells the rest of the way: teaches the encoder where things are.
+
+        Of these alone: velocity and force tell it as well where a human moves the arm, and nowhere else.
+        """
+        assert self.sight is not None and batch.rest is not None, "the method has an encoder"
+        features = self.seen(encoder, batch).x[:, -self.sight.features :]
+        told = forward(encoder["rest"], features.T, "relu").T
         known = jnp.isfinite(batch.rest)
         error = jnp.where(known, told - jnp.where(known, batch.rest, 0.0) / REST_SCALE, 0.0)
         return self.config.learner.image.rest_weight * jnp.abs(error).mean()
