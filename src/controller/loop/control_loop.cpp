@@ -9,6 +9,11 @@
 namespace tandem {
 namespace {
 
+// A gripper action less decided than this leaves the hand as it was told last. It is told to be
+// open or closed and nothing between: half closed is no use to our tasks, and what is executed once
+// is imitated.
+constexpr double kGripperDecided = 0.3;
+
 /// Of a gripper action: -1 open, 1 closed; m.
 constexpr double gripper_width(double action) { return 0.5 * (1.0 - action) * kGripperStroke; }
 
@@ -200,9 +205,9 @@ void ControlLoop::tick(const TickInput& input) noexcept {
   const Action human = human_action();
   const Action blended = (1.0 - alpha) * policy + alpha * human;
 
-  // The gripper follows when the task lets it; else it stays as the task closed it.
+  // The gripper opens or closes when the task lets it; else it stays as the task closed it.
   if (task_.axes[6] != 0.0) {
-    gripper_ = blended[6];
+    if (std::abs(blended[6]) > kGripperDecided) gripper_ = std::copysign(1.0, blended[6]);
     robot_.grip(gripper_width(gripper_));
   }
 

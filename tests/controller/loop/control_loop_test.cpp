@@ -107,6 +107,23 @@ TEST(ControlLoop, MaskedAxesNeverMove) {
   }
 }
 
+TEST(ControlLoop, HandIsToldToBeOpenOrClosedAndNothingBetween) {
+  Rig rig({.mode = ExecutionMode::receding, .horizon = Rig::kHorizon, .execute = 1}, "square");
+  rig.begin(3);
+  int step = 0;
+  const auto told = [&rig, &step](double gripper) {
+    const StepSnapshot snapshot = rig.begin_step();
+    Action asked = Action::Zero();
+    asked[6] = gripper;
+    rig.loop.accept(rig.constant_chunk(snapshot.chunk_id, step++, asked));
+    return rig.run_step().executed[6];
+  };
+  EXPECT_EQ(told(-0.8), -1.0);
+  EXPECT_EQ(told(0.2), -1.0) << "not decided: as it was told last";
+  EXPECT_EQ(told(0.4), 1.0);
+  EXPECT_EQ(told(-0.2), 1.0);
+}
+
 TEST(ControlLoop, StaticContactForceStaysBelowTheBound) {
   Rig rig;
   rig.begin(5);
