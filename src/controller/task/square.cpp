@@ -6,7 +6,7 @@ namespace tandem {
 namespace {
 
 constexpr double kHandleWidth = 0.03175;  // m, models/square*/scene.xml
-constexpr double kFingersOff = 0.004;     // m, wider than the handle
+constexpr double kFingersOff = 0.004;     // m, from its width
 
 double yaw_of(const Eigen::Quaterniond& R) { return log_map(R).z(); }
 
@@ -69,7 +69,9 @@ bool SquareTask::succeeded(const SceneTruth& truth, const Simulation& simulation
   const Pose X_GO = inverse(truth.X_WG) * truth.X_WO;
   const bool placed = std::abs(X_GO.p.x()) <= lateral_m_ && std::abs(X_GO.p.y()) <= lateral_m_ &&
                       X_GO.p.z() + spec_.goal_depth <= height_m_;
-  const bool fingers_off = simulation.finger_position().sum() > kHandleWidth + kFingersOff;
+  // Wider than the handle, or closed upon nothing.
+  const bool fingers_off =
+      std::abs(simulation.finger_position().sum() - kHandleWidth) > kFingersOff;
   const double away = (simulation.tool_pose().p - truth.X_WH.p).norm();
   return placed && fingers_off && away >= hand_away_m_;
 }

@@ -90,6 +90,10 @@ TEST(SquareTask, SuccessAsksToLetGo) {
   rig.simulation.place_free_body(rig.nut, X_WB);
   rig.simulation.forward();
   EXPECT_FALSE(rig.task->succeeded(rig.truth(), rig.simulation));
+  rig.simulation.set_arm(rig.simulation.q(), 0.0);
+  rig.simulation.place_free_body(rig.nut, X_WB);
+  rig.simulation.forward();
+  EXPECT_TRUE(rig.task->succeeded(rig.truth(), rig.simulation)) << "closed upon nothing";
 }
 
 TEST(SquareTask, PolicyThatSeesIsNotToldWhereThingsAre) {
