@@ -463,7 +463,7 @@ class Method:
         return loss + beside, wins
 
     def _rest_loss(self, encoder: Networks, batch: Batch) -> Array:
-        """How wrong a linear map of the image's features tells the rest of the way: teaches the encoder where things are.
+        """How wrong a linear map of the image's features tells the rest of the way. It teaches where things are.
 
         Of these alone: velocity and force tell it as well where a human moves the arm, and nowhere else.
         """
