@@ -54,9 +54,7 @@ class LearnerState(NamedTuple):
     critic_optimizer: optax.OptState
     actor_optimizer: optax.OptState
     updates: Array  # int32, gradient updates so far
-    encoder: (
-        Networks  # what actor and critics look through, and what it tells of the way; empty when they don't
-    )
+    encoder: Networks  # what actor and critics look through, and `rest` behind it; empty when they don't
     encoder_optimizer: optax.OptState
 
 

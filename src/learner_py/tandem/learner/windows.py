@@ -155,9 +155,8 @@ def rest_of_the_way(episode: Episode, lead: Floats, action_limit: Floats) -> Flo
     rest = np.full((episode.n_steps, GRIPPER), np.nan, np.float32)
     if episode.outcome != "success":
         return rest
-    moved = episode.executed_action[:, :GRIPPER] * action_limit - np.diff(
-        lead, axis=0
-    )  # the tool, in each step
+    # of the tool, in each step
+    moved = episode.executed_action[:, :GRIPPER] * action_limit - np.diff(lead, axis=0)
     closed = episode.executed_action[:, GRIPPER] > 0.0
     ahead = np.zeros(GRIPPER, np.float32)
     for step in range(episode.n_steps - 1, -1, -1):
