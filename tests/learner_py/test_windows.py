@@ -32,6 +32,21 @@ def test_tail_is_kept_and_padded_by_hold_with_the_same_gripper():
     np.testing.assert_array_equal(result.valid, [[1, 1, 1], [1, 1, 1], [1, 1, 0], [1, 0, 0]])
 
 
+def test_tail_may_repeat_the_last_action_so_that_it_does_not_tell_the_end():
+    actions = np.arange(4 * 7).reshape(4, 7) / 100
+    result = windows(support.episode(0, executed=actions), repeat_at_the_end=True)
+    np.testing.assert_allclose(result.chunk[2], actions[[2, 3, 3]], atol=1e-7)
+    np.testing.assert_array_equal(result.valid[2], [1, 1, 0])
+
+
+def test_origin_tells_whose_return_it_is_and_when():
+    episode = support.episode(0, n_steps=4, intervention=[0, 1, 1, 0], env_steps_total=1000)
+    np.testing.assert_allclose(
+        windows(episode).origin, [[0, np.log(2)], [1, np.log(2)], [1, np.log(2)], [0, np.log(2)]]
+    )
+    np.testing.assert_array_equal(windows(support.demonstration(0)).origin, [[1, 0]] * 5)
+
+
 def test_masked_axes_are_dropped_in_wire_order():
     actions = np.tile(np.arange(7) / 10, (4, 1))
     result = windows(support.episode(0, executed=actions), columns=[0, 5, 6])
@@ -58,6 +73,15 @@ def test_a_hard_contact_costs_what_came_before_it_cut_or_not():
     )
     np.testing.assert_allclose(windows(episode, cut=True, **force).mc_return, [-0.18, -0.2, 0, 1], atol=1e-6)
     np.testing.assert_allclose(windows(episode, **force).n_step_return, [0, -0.2, 0, 1], atol=1e-6)
+
+
+def test_a_hard_contact_is_blamed_on_what_came_just_before_by_a_discount_of_its_own():
+    episode = support.episode(0, n_steps=4, force_peak=[10, 10, 70, 0])
+    force = {"force_free_N": 50.0, "force_cost_per_N": 0.01, "force_discount": 0.5}  # 20 N above: 0.2
+    result = windows(episode, **force)
+    np.testing.assert_allclose(result.mc_return, [0.729 - 0.05, 0.81 - 0.1, 0.9 - 0.2, 1.0], atol=1e-6)
+    # what a bootstrap sums up is the method's own
+    np.testing.assert_allclose(result.n_step_return, [0, 0, -0.2, 1], atol=1e-6)
 
 
 # what the value of the next observation counts, t = 0 .. 5 of an episode of six steps, discount 0.9

@@ -1,14 +1,16 @@
 """Windows: what a learner may know about step t of an episode, correct by construction.
 
     chunk[t]    executed actions t .. t+h-1, active axes only, human, robot or mixed
-    valid[t]    which of them exist; the tail is padded by "hold" (zero delta, same gripper). A critic sees the padding,
-                because the robot does hold; imitation masks it, because nobody chose it.
-    r[t]        reward, less what the step's hardest contact costs
-    G[t]        sum over k < T-t of gamma^k r[t+k]; a time-out earns 0 and nothing is bootstrapped
+    valid[t]    which of them exist; the tail is padded by "hold" (zero delta, same gripper) or by the last action over
+                again. A critic sees the padding; imitation masks it, because nobody chose it.
+    G[t]        sum over k < T-t of gamma^k reward[t+k], less what hard contacts cost, by a discount of their own; a
+                time-out earns 0 and nothing is bootstrapped
+    origin[t]   who drove, a human (1) or the policy (0), and when in the training
     rest[t]     with images: how far the tool still went from step t on, until the hand was told otherwise or the
                 episode ended; NaN where the episode did not succeed, for then nobody knows
-    R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], and what the value
-                of next_observation counts: gamma^min(n, T-t), 0 where the episode truly ended. A time-out is no end.
+    R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], r the reward less
+                what the step's hardest contact costs, and what the value of next_observation counts: gamma^min(n, T-t),
+                0 where the episode truly ended. A time-out is no end.
 
 A window never reaches into another episode, because it is cut out of one.
 """
@@ -40,6 +42,7 @@ class Windows:
     next_observation: Floats  # (T, O) raw, after the last valid of the n steps
     n_step_return: Floats  # (T,) R
     bootstrap: Floats  # (T,) b
+    origin: Floats  # (T, 2) whose return it is: a human's (1) or the policy's (0), and when
     image: Pixels | None = None  # (T, H, W, 3) RGB; None without a camera
     rest: Floats | None = None  # (T, 6) m and rad; None without a camera
     next_image: Pixels | None = None  # (T, H, W, 3) of next_observation; None when nothing bootstraps
@@ -57,6 +60,8 @@ def make_windows(
     cut_return_at_intervention: bool = False,
     force_free_N: float = 0.0,
     force_cost_per_N: float = 0.0,
+    force_discount: float | None = None,
+    repeat_at_the_end: bool = False,
     bootstrap_steps: int = 1,
     timeout_is_terminal: bool = False,
     image_size: tuple[int, int] | None = None,
@@ -68,7 +73,9 @@ def make_windows(
 
     cut_return_at_intervention: autonomous steps that a human takeover follows later in the episode earn nothing (the
     rescue counts as failure of what came before); human steps, and autonomous ones after the last takeover, keep G.
-    force_cost_per_N: what each newton costs by which a step's largest contact force exceeds force_free_N.
+    force_cost_per_N: what each newton costs by which a step's largest contact force exceeds force_free_N;
+    force_discount: per step of that cost in G, None: the discount of the reward.
+    repeat_at_the_end: the tail is padded by the last action, which does not tell that success is near.
     image_size: height and width of the images, None when they are not looked at; next_images: those of
     next_observation too. lead, action_limit: for rest_of_the_way; None when nobody asks for it.
     bootstrap_steps: n. timeout_is_terminal: b is 0 after a time-out too, as in HIL-SERL.
@@ -78,7 +85,7 @@ def make_windows(
             f"Episode {episode.number} ({episode.phase}) ended by {episode.outcome}; it must not reach the learner."
         )
     length = episode.n_steps
-    chunk, valid = executed_chunks(episode, columns, horizon)
+    chunk, valid = executed_chunks(episode, columns, horizon, repeat_at_the_end)
     last = np.minimum(np.arange(length)[:, None] + np.arange(horizon)[None, :], length - 1)  # (T, h) steps
 
     by_human = np.ones(length, bool) if episode.is_demonstration else episode.intervention
@@ -86,6 +93,7 @@ def make_windows(
     _check_returns(episode, earned, discount)
     cost = force_cost_per_N * np.maximum(0.0, episode.force_peak - force_free_N)
     paid = discounted_returns(cost, discount)
+    blamed = discounted_returns(cost, discount if force_discount is None else force_discount)
     credited = earned
     if cut_return_at_intervention:
         credited = np.where(~by_human & followed_by_intervention(by_human), 0.0, earned)
@@ -100,14 +108,20 @@ def make_windows(
         chunk=chunk,
         valid=valid,
         human=valid & by_human[last],
-        mc_return=(credited - paid).astype(np.float32),
+        mc_return=(credited - blamed).astype(np.float32),
         next_observation=episode.next_observation[ends - 1],
         n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
+        origin=np.stack([by_human, np.full(length, when(episode))], axis=1).astype(np.float32),
         image=None if pixels is None else pixels[:-1],
         rest=None if lead is None or action_limit is None else rest_of_the_way(episode, lead, action_limit),
         next_image=None if pixels is None or not next_images else pixels[ends],
     )
+
+
+def when(episode: Episode) -> float:
+    """A clock of training that runs ever slower, as the policy changes: 0 in demonstrations, 1.7 after 4 400 steps."""
+    return float(np.log1p(max(0, episode.end.env_steps_total) / 1000.0))
 
 
 def _pixels(episode: Episode, size: tuple[int, int]) -> Pixels:
@@ -125,11 +139,16 @@ def _pixels(episode: Episode, size: tuple[int, int]) -> Pixels:
     return pixels
 
 
-def executed_chunks(episode: Episode, columns: Sequence[int], horizon: int) -> tuple[Floats, Bools]:
-    """(T, h, A) what was executed from each step on, the tail padded by "hold", and (T, h) which of it was."""
+def executed_chunks(
+    episode: Episode, columns: Sequence[int], horizon: int, repeat_at_the_end: bool = False
+) -> tuple[Floats, Bools]:
+    """(T, h, A) what was executed from each step on, and (T, h) which of it was; the tail is padded by "hold", or by
+    the last action over again."""
     index = np.arange(episode.n_steps)[:, None] + np.arange(horizon)[None, :]
     valid = index < episode.n_steps
     executed = episode.executed_action[np.minimum(index, episode.n_steps - 1)]  # (T, h, 7)
+    if repeat_at_the_end:
+        return executed[:, :, list(columns)].astype(np.float32), valid
     hold = np.zeros(7, np.float32)
     hold[GRIPPER] = episode.executed_action[-1, GRIPPER]
     chunk = np.where(valid[:, :, None], executed, hold)[:, :, list(columns)]
