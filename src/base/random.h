@@ -49,7 +49,8 @@ enum class Purpose : uint64_t {
   robot_faults = 6,
   policy_noise = 7,
   camera = 8,
-  light = 9
+  light = 9,
+  exploration_speed = 10
 };
 
 inline Random random_for(uint64_t episode_seed, Purpose purpose, uint64_t index = 0) noexcept {

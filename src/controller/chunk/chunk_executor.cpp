@@ -20,6 +20,8 @@ int32_t index_in(const Chunk& chunk, int64_t step) noexcept {
 void ChunkExecutor::begin_episode(uint64_t episode_seed, bool explore) noexcept {
   explore_ = explore;
   episode_seed_ = episode_seed;
+  Random random = random_for(episode_seed, Purpose::exploration_speed);
+  speed_ = explore ? 1.0 + random.uniform(0.0, settings_.noise_speed) : 1.0;
   size_ = 0;
   taken_in_episode_ = 0;
   newest_id_ = -1;
@@ -84,6 +86,7 @@ void ChunkExecutor::add_noise(Chunk& chunk) const noexcept {
   for (int axis = 0; axis < 6; ++axis) offset[axis] = random.normal(settings_.noise_chunk);
   for (int i = 0; i < chunk.horizon; ++i) {
     Action& action = chunk.actions[i];
+    action.head<6>() *= speed_;
     for (int axis = 0; axis < 6; ++axis) {
       const double noise = offset[axis] + random.normal(settings_.noise_step);
       if (explore_) action[axis] += std::clamp(noise, -settings_.noise_clip, settings_.noise_clip);

@@ -16,6 +16,7 @@ ExecutionSettings read_execution(Section section, int horizon, int ticks_per_ste
   settings.noise_chunk = section.number("noise_chunk", 0.0, 1.0);
   settings.noise_step = section.number("noise_step", 0.0, 1.0);
   settings.noise_clip = section.number("noise_clip", 0.0, 2.0);
+  settings.noise_speed = section.number("noise_speed", 0.0, 4.0);
   section.finish();
   return settings;
 }

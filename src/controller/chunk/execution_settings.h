@@ -19,6 +19,8 @@ struct ExecutionSettings {
                              ///< chunk, action units
   double noise_step = 0.0;   ///< the same, drawn anew for every step
   double noise_clip = 0.0;   ///< bound on the sum of both
+  double noise_speed = 0.0;  ///< exploration: an episode's motions go faster by a draw between 0
+                             ///< and this share
 };
 
 /// @param horizon h of the method. @param ticks_per_step of the task: the modelled latency stays

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -250,6 +251,34 @@ TEST(ChunkExecutor, NoiseOfAChunkIsCorrelatedOverItsSteps) {
   }
   // 0.1^2 / (0.1^2 + 0.05^2) = 0.8, a little changed by the clip.
   EXPECT_NEAR(first_second / first_first, 0.8, 0.08);
+}
+
+TEST(ChunkExecutor, ExploringSpeedsUpAnEpisodesMotionByOneFactorAndNeverTheGripper) {
+  ExecutionSettings settings;
+  settings.mode = kReceding;
+  settings.horizon = 1;
+  settings.noise_speed = 0.5;
+  ChunkExecutor e(settings, Action::Ones(), kTicksPerStep);
+  const auto factor = [&](uint64_t episode, bool explore) {
+    e.begin_episode(episode, explore);
+    e.accept(chunk(0, 0, 1, 0.4), 0);
+    const double first = e.action(0, 0.0)[0] / 0.4;
+    e.accept(chunk(1, 1, 1, -0.4), 100);
+    const Action second = e.action(1, 0.0);
+    EXPECT_NEAR(second[5] / -0.4, first, 1e-12);
+    EXPECT_EQ(second[6], -0.4);
+    return first;
+  };
+  double slowest = 9.0, fastest = 0.0;
+  for (uint64_t episode = 0; episode < 200; ++episode) {
+    EXPECT_EQ(factor(episode, false), 1.0);
+    slowest = std::min(slowest, factor(episode, true));
+    fastest = std::max(fastest, factor(episode, true));
+  }
+  EXPECT_GE(slowest, 1.0);
+  EXPECT_LT(slowest, 1.05);
+  EXPECT_GT(fastest, 1.45);
+  EXPECT_LE(fastest, 1.5);
 }
 
 TEST(ChunkExecutor, WhateverComesTheActionIsInRangeAndEveryChunkIsCounted) {

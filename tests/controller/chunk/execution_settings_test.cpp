@@ -19,7 +19,7 @@ Section load(const std::string& yaml) {
 std::string execution(const std::string& mode, int execute, int latency) {
   return "mode: " + mode + "\nexecute: " + std::to_string(execute) +
          "\nensemble_decay: 0.01\nlatency_ticks: " + std::to_string(latency) +
-         "\nnoise_chunk: 0.1\nnoise_step: 0.2\nnoise_clip: 0.3\n";
+         "\nnoise_chunk: 0.1\nnoise_step: 0.2\nnoise_clip: 0.3\nnoise_speed: 0.5\n";
 }
 
 template <typename Function>

@@ -47,6 +47,7 @@ class Execution(Strict):
     noise_chunk: float = Field(ge=0, le=1)
     noise_step: float = Field(ge=0, le=1)
     noise_clip: float = Field(ge=0, le=2)
+    noise_speed: float = Field(ge=0, le=4)
 
 
 Widths = Annotated[list[Width], Field(min_length=1, max_length=8)]

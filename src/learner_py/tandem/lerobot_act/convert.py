@@ -187,7 +187,13 @@ def _config(source: Path, settings: Mapping[str, Any], features: Features) -> ac
 def _execution(settings: Mapping[str, Any]) -> dict[str, Any]:
     """How LeRobot executes a chunk: n steps of it, or the weighted mean of all chunks about a step."""
     decay = settings.get("temporal_ensemble_coeff")
-    execution = {"latency_ticks": 0, "noise_chunk": 0.0, "noise_step": 0.0, "noise_clip": 0.0}
+    execution = {
+        "latency_ticks": 0,
+        "noise_chunk": 0.0,
+        "noise_step": 0.0,
+        "noise_clip": 0.0,
+        "noise_speed": 0.0,
+    }
     if decay is not None:
         return {"mode": "temporal_ensembling", "execute": 1, "ensemble_decay": decay} | execution
     steps = settings.get("n_action_steps", 100)
