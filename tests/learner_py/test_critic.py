@@ -73,13 +73,13 @@ def learnt(method, batch, monkeypatch, updates=1500):
         return jnp.zeros((len(x), method.config.horizon, 3)).at[:, :, 0].set(jnp.where(is_real, ON, 0.0))
 
     monkeypatch.setattr(Method, "decide", going_on)
-    optimizer, now = method.critic_optimizer, method.now({"origin": batch.origin})
+    optimizer = method.critic_optimizer
 
     def update(state, key):
         gradient, _ = jax.grad(method.critic_loss, has_aux=True)(state.critics, {}, state, batch, key)
         step, optimizer_state = optimizer.update(gradient, state.critic_optimizer, state.critics)
         critics = optax.apply_updates(state.critics, step)
-        average = method.averages(state, {**state.actors, **critics}, jnp.bool_(False), now)
+        average = method.averages(state, {**state.actors, **critics}, jnp.bool_(False))
         return state._replace(
             critics=critics, average=average, critic_optimizer=optimizer_state, updates=state.updates + 1
         ), None
@@ -226,39 +226,3 @@ def test_expectile_of_a_fair_coin_is_itself(expectile):
     coin = jnp.tile(jnp.array([0.0, 1.0]), 8)
     loss = lambda value, key: expectile_loss(value * jnp.ones(16), coin, expectile)  # noqa: E731
     assert abs(support.minimise(loss, jnp.float32(0.2), 400, 1e-2) - expectile) < 0.01
-
-
-def two_who_drive(n=400):
-    """One state. A human moves slowly and always earns 1; the policy moves fast, and the faster the more it earns."""
-    draws = np.random.default_rng(0).uniform(-1, 1, n)
-    human = np.arange(n) % 2 == 0
-    action = np.where(human, -0.6, 0.2) + 0.3 * draws
-    earned = np.where(human, 1.0, 0.2 + 0.5 * action)
-    chunk = np.zeros((n, 1, 3))
-    chunk[:, 0, 0] = action
-    origin = np.stack([human, np.full(n, 1.5)], axis=1)
-    return support.batch(n, chunk=chunk, mc_return=earned, origin=origin)
-
-
-@pytest.mark.parametrize("knows", [False, True])
-def test_who_earned_it_is_not_mistaken_for_what_earned_it(monkeypatch, knows):
-    method = method_of(knows_origin=knows)
-    batch = two_who_drive()
-    state = learnt(method, batch if knows else batch._replace(origin=None), monkeypatch)
-    judges = method.settled(state.critics, method.now({"origin": batch.origin}))["critic"]
-    chunks = jnp.zeros((2, 1, 3)).at[:, 0, 0].set(jnp.array([-0.6, 0.4]))  # the human's speed, and a fast one
-    slow, fast = np.asarray(mean_score(judges, batch.x[:2], chunks))
-    assert (fast > slow) == knows
-    if knows:
-        np.testing.assert_allclose(fast, 0.4, atol=0.1)
-
-
-def test_settled_critics_are_the_same_ones_with_the_origin_given():
-    method = method_of(knows_origin=True)
-    state = method.init(1)
-    now = {"origin": jnp.array([1.0, 0.7])}
-    x = jax.random.normal(jax.random.PRNGKey(0), (5, 3))
-    chunk = jax.random.normal(jax.random.PRNGKey(1), (5, 1, 3))
-    told = ensemble_values(state.critics["critic"], jnp.c_[x, jnp.tile(now["origin"], (5, 1))], chunk)
-    settled = ensemble_values(method.settled(state.critics, now)["critic"], x, chunk)
-    np.testing.assert_allclose(settled, told, atol=1e-6)

@@ -39,14 +39,6 @@ def test_tail_may_repeat_the_last_action_so_that_it_does_not_tell_the_end():
     np.testing.assert_array_equal(result.valid[2], [1, 1, 0])
 
 
-def test_origin_tells_whose_return_it_is_and_when():
-    episode = support.episode(0, n_steps=4, intervention=[0, 1, 1, 0], env_steps_total=1000)
-    np.testing.assert_allclose(
-        windows(episode).origin, [[0, np.log(2)], [1, np.log(2)], [1, np.log(2)], [0, np.log(2)]]
-    )
-    np.testing.assert_array_equal(windows(support.demonstration(0)).origin, [[1, 0]] * 5)
-
-
 def test_masked_axes_are_dropped_in_wire_order():
     actions = np.tile(np.arange(7) / 10, (4, 1))
     result = windows(support.episode(0, executed=actions), columns=[0, 5, 6])

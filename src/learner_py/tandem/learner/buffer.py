@@ -66,7 +66,6 @@ class ReplayBuffer:
             next_observation=np.zeros((1, width), np.float32),
             n_step_return=np.zeros(1, np.float32),
             bootstrap=np.zeros(1, np.float32),
-            origin=np.zeros((1, 2), np.float32),
             image=black,
             rest=None if black is None else np.zeros((1, 6), np.float32),
             next_image=black if next_images else None,

@@ -108,7 +108,6 @@ class Critic(Strict):
     hidden: Widths
     activation: Activation
     weight_decay: float = Field(ge=0, le=100)
-    knows_origin: bool
     end_of_chunk: Literal["hold", "repeat"]
     cut_return_at_intervention: bool
     force_free_N: float = Field(ge=0, le=1000)
@@ -234,11 +233,6 @@ class MethodConfig(Strict):
             yield (
                 f"execution.execute is {self.execution.execute}",
                 f"it must be in [1, horizon] = [1, {self.horizon}]",
-            )
-        if critic.knows_origin and critic.kind != "mc":
-            yield (
-                f"learner.critic.knows_origin is true and kind is {critic.kind}",
-                "only returns really earned have an origin: say kind mc, or false",
             )
         if improvement.kind != "imitate" and critic.kind == "none":
             yield (

@@ -42,7 +42,6 @@ Networks = dict[str, Params]  # by role: actor, critic, value, grasp, edit, temp
 
 HALF_OPEN_M = 0.04  # of the hand's 80 mm
 REST_SCALE = np.array([0.05] * 3 + [0.4] * 3, np.float32)  # m, rad: what is left of the way is told in these
-N_ORIGIN = 2  # numbers of Windows.origin
 AVERAGED = ("actor", "edit", "critic", "grasp", "encoder")
 
 
@@ -68,7 +67,6 @@ class Batch(NamedTuple):
     next_x: Array  # (B, O)
     n_step_return: Array  # (B,)
     bootstrap: Array  # (B,)
-    origin: Array | None = None  # (B, 2) whose return it is; where the critic knows that
     image: Array | None = None  # (B, H, W, 3) uint8
     rest: Array | None = None  # (B, 6) m, rad: how far the tool still went; NaN where nobody knows
     next_image: Array | None = None  # (B, H, W, 3) uint8
@@ -146,12 +144,11 @@ class Method:
         n_obs, n_chunk = self.actor.n_observation, self.config.horizon * self.n_head_axes
         actors: Networks = {"actor": self.actor.init(generator)}
         critics: Networks = {}
-        n_known = n_obs + N_ORIGIN * learner.critic.knows_origin
         if self.has_critic:
-            sizes = [n_known + n_chunk, *learner.critic.hidden, 1]
+            sizes = [n_obs + n_chunk, *learner.critic.hidden, 1]
             critics["critic"] = init_ensemble(generator, learner.critic.members, sizes)
         if learner.improvement.kind == "awr" or learner.critic.kind == "iql":
-            critics["value"] = init_ensemble(generator, 1, [n_known, *learner.critic.hidden, 1])
+            critics["value"] = init_ensemble(generator, 1, [n_obs, *learner.critic.hidden, 1])
         if self.grasps:
             critics["grasp"] = grasp.init_critic(generator, self._grasp_critic, n_obs)
         if learner.improvement.kind in ("sac", "e2hil", "expo"):
@@ -170,8 +167,6 @@ class Method:
         average = {name: net for name, net in networks.items() if name in AVERAGED}
         if learner.decision.with_reference:
             average["reference"] = actors["actor"]
-        if learner.critic.knows_origin:
-            average["now"] = {"origin": jnp.zeros(N_ORIGIN)}
         return LearnerState(
             critics=critics,
             actors=actors,
@@ -270,7 +265,6 @@ class Method:
             next_x=(arrays["next_observation"][rows] - mean) * scale,
             **{name: arrays[name][rows] for name in names},
             **images,
-            origin=arrays["origin"][rows] if self.config.learner.critic.knows_origin else None,
             rest=arrays["rest"][rows] if images else None,
         )
         if not self.grasps:
@@ -356,7 +350,6 @@ class Method:
     def _deciding(self, networks: Networks) -> Params:
         if self.config.learner.decision.kind == "head":
             return networks["actor"]
-        networks = self.settled(networks, networks.get("now"))
         heads = [networks["actor"]]
         if self.config.learner.decision.with_reference:
             heads.append(networks["reference"])
@@ -386,27 +379,6 @@ class Method:
             critic, x, chunk[..., : self.n_head_axes], self.config.learner.critic.activation
         )
 
-    def now(self, arrays: Arrays) -> Params | None:
-        """The origin that a ranking asks about: the policy goes on, as it is now. None when critics know none."""
-        if not self.config.learner.critic.knows_origin:
-            return None
-        return {"origin": jnp.stack([jnp.float32(0.0), arrays["origin"][:, 1].max()])}
-
-    def settled(self, networks: Networks, now: Params | None) -> Networks:
-        """The networks with critics that see no origin any more: it is `now`, a constant that goes into their bias."""
-        if now is None:
-            return networks
-        begin = self.actor.n_observation
-
-        def settle(layers: Mlp) -> Mlp:
-            first, *rest = layers
-            weight = first["weight"]  # (M, width, inputs)
-            bias = first["bias"] + weight[..., begin : begin + N_ORIGIN] @ now["origin"]
-            weight = jnp.concatenate([weight[..., :begin], weight[..., begin + N_ORIGIN :]], axis=-1)
-            return [{**first, "weight": weight, "bias": bias}, *rest]
-
-        return {name: settle(net) if name in ("critic", "value") else net for name, net in networks.items()}
-
     def state_value(self, value: Mlp, x: Array) -> Array:
         """V (B,)."""
         return state_value(value, x, self.config.learner.critic.activation)
@@ -417,14 +389,13 @@ class Method:
         """Loss, and ranking score (B,) of the batch's chunks."""
         settings = self.config.learner.critic
         batch = self.seen(encoder, batch)
-        known = batch.x if batch.origin is None else jnp.concatenate([batch.x, batch.origin], axis=1)
-        values = self.values(trained["critic"], known, batch.chunk)
+        values = self.values(trained["critic"], batch.x, batch.chunk)
         target = batch.mc_return
         if settings.kind != "mc":
             target = batch.n_step_return + batch.bootstrap * self._next_value(state, batch, key)
         loss = regression_loss(values, lax.stop_gradient(target))
         if "value" in trained:
-            value = self.state_value(trained["value"], known)
+            value = self.state_value(trained["value"], batch.x)
             if settings.kind == "mc":
                 loss += regression_loss(value[None], batch.mc_return)
             else:
@@ -470,19 +441,19 @@ class Method:
         self,
         trained: Networks,
         encoder: Networks,
-        judges: Networks,
+        state: LearnerState,
         batch: Batch,
         q_buffer: Array,
         key: Array,
         warm_start: Array,
     ) -> tuple[Array, Array]:
-        """Loss and policy_wins (B,). judges: the critics, settled; in the warm start they are too young to rank."""
+        """Loss and policy_wins (B,). warm_start: imitate the batch, the critic is too young to rank."""
         kind = self.config.learner.improvement.kind
         beside = self._rest_loss(encoder, batch) if self.sight is not None else 0.0
         if not self.config.learner.image.actor_teaches:
             encoder = lax.stop_gradient(encoder)
         batch = self.seen(encoder, batch)
-        arguments = (self, trained, judges, batch, q_buffer, key)
+        arguments = (self, trained, state.critics, batch, q_buffer, key)
         if kind == "imitate":
             loss, wins = imitate.loss(*arguments)
         else:
@@ -503,15 +474,13 @@ class Method:
         error = jnp.where(known, told - jnp.where(known, batch.rest, 0.0) / REST_SCALE, 0.0)
         return self.config.learner.image.rest_weight * jnp.abs(error).mean()
 
-    def averages(
-        self, state: LearnerState, networks: Networks, warm_start: Array, now: Params | None
-    ) -> Networks:
+    def averages(self, state: LearnerState, networks: Networks, warm_start: Array) -> Networks:
         """The slow copies after an update that made `networks`."""
         learner = self.config.learner
         critic_decay = learner.critic.td.target_decay if self.bootstraps else learner.ema
         average: Networks = {}
         for name, old in state.average.items():
-            if name in ("reference", "now"):
+            if name == "reference":
                 continue
             # a young average follows quickly, so that it forgets the random start
             decay = jnp.minimum(
@@ -524,8 +493,6 @@ class Method:
             average["reference"] = _mix(
                 jnp.where(warm_start, 0.0, 1.0), state.average["reference"], average["actor"]
             )
-        if now is not None:
-            average["now"] = now
         return average
 
 

@@ -212,8 +212,7 @@ class Trainer:
     def member_scores(self, observation: Floats, chunk: Floats, image: Pixels | None = None) -> Floats:
         """The same of each member (M, B)."""
         x = self._seen(observation, image)
-        judges = self.method.settled(self.state.average, self.state.average.get("now"))
-        return np.asarray(self.method.values(judges["critic"], x, jnp.asarray(chunk)))
+        return np.asarray(self.method.values(self.state.average["critic"], x, jnp.asarray(chunk)))
 
     def sample(self, observation: Floats, image: Pixels | None = None) -> Floats:
         """One chunk (B, h, A) of the actor alone at each raw observation (B, O) and image."""

@@ -17,7 +17,7 @@ from jax import lax
 from tandem.learner.buffer import Arrays, RowSet, RowSets
 from tandem.learner.critic import mean_score
 from tandem.learner.method import LearnerState, Method, Networks
-from tandem.learner.networks import Array, Params
+from tandem.learner.networks import Array
 
 Sums = dict[str, Array]  # sums over the updates of one call, float32
 Update = Callable[..., tuple[LearnerState, Sums]]
@@ -62,7 +62,6 @@ def make_update(method: Method) -> Update:
         scale: Array,
         key: Array,
         warm_start: Array,
-        now: Params | None,
     ) -> tuple[LearnerState, Sums]:
         key_rows, key_critic, key_imitated, key_actor = jax.random.split(key, 4)
         batch = method.batch(arrays, rows_of(sets, key_rows), mean, scale, key_critic)
@@ -80,18 +79,16 @@ def make_update(method: Method) -> Update:
             step, critic_optimizer = method.critic_optimizer.update(gradient, critic_optimizer, critics)
             critics = optax.apply_updates(critics, step)
 
-        judges = method.settled(state.critics, now)
         if method.imitates_other_rows:
             rows = _draw(sets["imitated"], batch_size, key_imitated, replay.half_life)
             batch = method.batch(arrays, rows, mean, scale, key_imitated)
-        if method.imitates_other_rows or now is not None:
             x = method.seen(state.encoder, batch).x
-            q_buffer = mean_score(judges["critic"], x, batch.chunk, learner.critic.activation)
+            q_buffer = mean_score(state.critics["critic"], x, batch.chunk, learner.critic.activation)
 
         def improve() -> tuple[Networks, optax.OptState, Networks, Array, Array]:
             loss_of = jax.value_and_grad(method.actor_loss, argnums=(0, 1), has_aux=True)
             (loss, wins), (gradient, of_encoder) = loss_of(
-                state.actors, state.encoder, judges, batch, q_buffer, key_actor, warm_start
+                state.actors, state.encoder, state, batch, q_buffer, key_actor, warm_start
             )
             step, actor_optimizer = method.actor_optimizer.update(gradient, state.actor_optimizer)
             return optax.apply_updates(state.actors, step), actor_optimizer, of_encoder, loss, wins
@@ -123,7 +120,7 @@ def make_update(method: Method) -> Update:
             "human_wins": (wins & human).sum(dtype=jnp.float32),
             "autonomous_wins": (wins & ~human).sum(dtype=jnp.float32),
         }
-        average = method.averages(state, {**actors, **critics, **encoder}, warm_start, now)
+        average = method.averages(state, {**actors, **critics, **encoder}, warm_start)
         new = LearnerState(
             critics,
             actors,
@@ -147,12 +144,10 @@ def make_update(method: Method) -> Update:
         stop: Array,
         warm_start: Array,
     ) -> tuple[LearnerState, Sums]:
-        now = method.now(arrays)
-
         def body(index: Array, carry: tuple[LearnerState, Sums]) -> tuple[LearnerState, Sums]:
             state, total = carry
             state, sums = one_update(
-                state, arrays, sets, mean, scale, jax.random.fold_in(key, index), warm_start, now
+                state, arrays, sets, mean, scale, jax.random.fold_in(key, index), warm_start
             )
             return state, jax.tree.map(jnp.add, total, sums)
 

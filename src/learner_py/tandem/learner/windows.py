@@ -5,7 +5,6 @@
                 again. A critic sees the padding; imitation masks it, because nobody chose it.
     G[t]        sum over k < T-t of gamma^k reward[t+k], less what hard contacts cost, by a discount of their own; a
                 time-out earns 0 and nothing is bootstrapped
-    origin[t]   who drove, a human (1) or the policy (0), and when in the training
     rest[t]     with images: how far the tool still went from step t on, until the hand was told otherwise or the
                 episode ended; NaN where the episode did not succeed, for then nobody knows
     R[t], b[t]  for critics that bootstrap after n steps: sum over k < min(n, T-t) of gamma^k r[t+k], r the reward less
@@ -42,7 +41,6 @@ class Windows:
     next_observation: Floats  # (T, O) raw, after the last valid of the n steps
     n_step_return: Floats  # (T,) R
     bootstrap: Floats  # (T,) b
-    origin: Floats  # (T, 2) whose return it is: a human's (1) or the policy's (0), and when
     image: Pixels | None = None  # (T, H, W, 3) RGB; None without a camera
     rest: Floats | None = None  # (T, 6) m and rad; None without a camera
     next_image: Pixels | None = None  # (T, H, W, 3) of next_observation; None when nothing bootstraps
@@ -112,16 +110,10 @@ def make_windows(
         next_observation=episode.next_observation[ends - 1],
         n_step_return=(net[:-1] - decay * net[ends]).astype(np.float32),
         bootstrap=np.where(over, 0.0, decay).astype(np.float32),
-        origin=np.stack([by_human, np.full(length, when(episode))], axis=1).astype(np.float32),
         image=None if pixels is None else pixels[:-1],
         rest=None if lead is None or action_limit is None else rest_of_the_way(episode, lead, action_limit),
         next_image=None if pixels is None or not next_images else pixels[ends],
     )
-
-
-def when(episode: Episode) -> float:
-    """A clock of training that runs ever slower, as the policy changes: 0 in demonstrations, 1.7 after 4 400 steps."""
-    return float(np.log1p(max(0, episode.end.env_steps_total) / 1000.0))
 
 
 def _pixels(episode: Episode, size: tuple[int, int]) -> Pixels:

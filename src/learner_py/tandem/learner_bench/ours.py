@@ -35,18 +35,7 @@ def main(scenario: Path, work_file: Path) -> None:
     n, horizon = chunk.shape[:2]
     yes = np.ones((n, horizon), bool)
     earned = given["rows.mc_return"]
-    nothing = np.zeros(n, np.float32)
-    windows = Windows(
-        observation,
-        chunk,
-        yes,
-        yes,
-        earned,
-        observation,
-        earned,
-        nothing,
-        origin=np.zeros((n, 2), np.float32),
-    )
+    windows = Windows(observation, chunk, yes, yes, earned, observation, earned, np.zeros(n, np.float32))
     trainer.buffer.add(windows, dict.fromkeys(trainer.method.row_sets, yes[:, 0]))
     trainer.normalizer = Normalizer.identity(observation.shape[1])
     trainer.compile()
