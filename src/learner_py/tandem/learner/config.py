@@ -112,7 +112,7 @@ class Critic(Strict):
     cut_return_at_intervention: bool
     force_free_N: float = Field(ge=0, le=1000)
     force_cost_per_N: float = Field(ge=0, le=1)
-    force_discount: float = Field(gt=0, le=1)
+    force_discount: float | None = Field(gt=0, le=1)
     td: TdCritic
     expectile: float = Field(gt=0, lt=1)
 
