@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import support
@@ -10,7 +12,8 @@ from tandem_lcm.tandem.episode_end_t import episode_end_t
 from tandem_lcm.tandem.world_state_t import world_state_t
 
 from tandem.learner.config import load_scenario
-from tandem.learner.diagnosis import diagnose
+from tandem.learner.diagnosis import Question, diagnose, quicker_gain
+from tandem.learner.windows import make_windows
 from tandem.run_folder import RunFolder
 
 
@@ -68,3 +71,21 @@ def test_too_short_a_run_is_refused_with_a_sentence(tmp_path):
     folder = run_folder(tmp_path / "run", n_training=7)
     with pytest.raises(ValueError, match=r"has 7 training episodes; 10 are needed"):
         diagnose(folder, load_scenario(folder.scenario), 1)
+
+
+def test_quicker_is_asked_of_the_policys_own_motion_where_the_arm_is_on_its_way():
+    """A critic whose score is the sum of a chunk's actions, so that a quarter more is worth a quarter of the motion."""
+    axes = ["x", "z", "gripper"]
+    executed = np.zeros((4, 7))
+    executed[:, 0], executed[:, 2], executed[:, 6] = [0.6, 0.1, 0.6, 0.9], [0.0, 0.1, 0.0, 0.4], 1.0
+    episode = support.episode(0, executed=executed, intervention=[0, 0, 1, 0])
+    windows = make_windows(episode, [0, 2, 6], 1, 0.9)
+    trainer = SimpleNamespace(
+        scenario=SimpleNamespace(task=SimpleNamespace(action_axes=axes)),
+        score=lambda _observation, chunk, _image: chunk.sum(axis=(1, 2)),
+    )
+    # of the four steps one is slow and one the human's; 0.9 can only become 1
+    gain = quicker_gain(trainer, [Question(episode, windows, None)])
+    assert gain == pytest.approx((0.15 + 0.1 + 0.1) / 2, abs=1e-6)
+    slow = make_windows(support.episode(1, n_steps=2), [0, 2, 6], 1, 0.9)
+    assert quicker_gain(trainer, [Question(episode, slow, None)]) is None

@@ -25,6 +25,8 @@ from tandem.run_folder import RunFolder
 
 HELD_OUT_EVERY = 5  # training episodes
 DISTURBANCES = (0.1, 0.3, 1.0)  # standard deviations, action units
+QUICKER = 1.25  # times the same motion
+ON_ITS_WAY = 0.5  # action units, of a step's translation
 # Steps of an intervention in which the human's chunk counts as better than that of the policy that he stopped.
 AFTER_TAKEOVER = 3
 
@@ -74,6 +76,7 @@ def diagnose(folder: RunFolder, scenario: LearnerScenario, updates: int) -> dict
         **_returns(trainer, held_out),
         **_takeovers(trainer, held_out),
         "disturbed_wins": _disturbed(trainer, held_out),
+        "quicker_gain": quicker_gain(trainer, held_out),
         "operator": _operator(folder),
     }
 
@@ -131,6 +134,25 @@ def _disturbed(trainer: Trainer, held_out: list[Question]) -> dict[str, float]:
             wins.append(_scores(trainer, one.windows, disturbed) > _scores(trainer, one.windows, chunk))
         shares[str(deviation)] = float(np.mean(np.concatenate(wins)))
     return shares
+
+
+def quicker_gain(trainer: Trainer, held_out: list[Question]) -> float | None:
+    """What the critic promises for going the same way quicker, where the arm is on its way by itself.
+
+    Less time is worth more; a critic that says otherwise has mistaken something else for the cause.
+    """
+    axes = trainer.scenario.task.action_axes
+    translation = [axes.index(axis) for axis in ("x", "y", "z") if axis in axes]
+    motion = [axes.index(axis) for axis in axes if axis != "gripper"]
+    gains: list[float] = []
+    for one in held_out:
+        chunk = one.windows.chunk
+        speed = np.linalg.norm(chunk[:, 0, translation], axis=1)
+        rows = (speed > ON_ITS_WAY) & ~one.windows.human[:, 0]
+        quicker = chunk.copy()
+        quicker[:, :, motion] = np.clip(QUICKER * quicker[:, :, motion], -1.0, 1.0)
+        gains += list((_scores(trainer, one.windows, quicker) - _scores(trainer, one.windows, chunk))[rows])
+    return float(np.mean(gains)) if gains else None
 
 
 def _operator(folder: RunFolder) -> dict[str, float | None]:
