@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from tandem.cli.app import app
 from tandem.experiments import figures
-from tandem.experiments.report import band, win_points
+from tandem.experiments.pictures import band, win_points
 from tandem.experiments.runs import Run
 from tandem.run_folder import RunFolder
 from tandem.summary import PROGRESS_COLUMNS, read_progress
@@ -31,7 +31,7 @@ def put(folder: Path, method: str, seed: int, successes: int, *of_checkpoints: f
         "method": method, "seed": seed, "env_steps": 4000, "robot_time_s": 400.0, "updates": 16000,
         "fresh": {"selected": fresh, "last": fresh}, "curve": curve(*of_checkpoints), "wall_s": 120.0 + 60.0 * seed,
         "policy": {"steps_mean": 30.0, "force": {"peak_mean": 40.0 + 20.0 * seed, "filtered_peak_mean": 10.0}},
-        "operator": {"steps_mean": 20.0},
+        "operator": {"steps_mean": 20.0, "force": {"peak_mean": 70.0}},
         "interventions": {"share": 0.1, "share_first_tenth": 0.3, "share_last_tenth": 0.02},
     }  # fmt: skip
     run.folder.path.mkdir(parents=True)
@@ -126,7 +126,7 @@ def test_the_reports_files_hold_the_runs_figures(tmp_path: Path) -> None:
         " | 6.7 min | 2.5 min | 16000 | 10.0 % (30 → 2) | 30.0 (20.0) | 50.0 N (10.0) |"
     ) in text
     assert "| mcbc | 93.0 % | 96, 90 | 2000 | 8000 | 0.008 h |" in text
-    for picture in ("curves.png", "win_shares.png"):
+    for picture in ("curves.png", "last.png", "win_shares.png"):
         assert f"]({picture})" in text
         assert (tmp_path / "report" / picture).read_bytes().startswith(b"\x89PNG")
 

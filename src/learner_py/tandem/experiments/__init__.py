@@ -5,5 +5,6 @@ ablation.py  config/ablations/NAME.yaml -> runs
 machines.py  where a command is started and waited for: this machine, or Ray
 runner.py    spreads runs over a machine; a second call goes on where the first one was stopped
 figures.py   finished runs -> rows of a table
-report.py    rows and curves -> report.md, report.csv and pictures
+pictures.py  rows and curves -> pictures
+report.py    rows and pictures -> report.md, report.csv
 """

@@ -92,6 +92,7 @@ def row(label: str, results: Sequence[Result]) -> dict[str, Any]:
         "operator_steps_mean": average("operator", "steps_mean"),
         "force_peak_N": average("policy", "force", "peak_mean"),
         "force_filtered_peak_N": average("policy", "force", "filtered_peak_mean"),
+        "operator_force_peak_N": average("operator", "force", "peak_mean"),
     }
 
 
