@@ -55,6 +55,8 @@ def sustained(curve: Sequence[dict[str, Any]]) -> int | None:
 def row(label: str, results: Sequence[Result]) -> dict[str, Any]:
     """One label's figures: success pooled over its seeds, everything else the mean of its runs.
 
+    Steps and forces are the last checkpoint's, as curves are not cut at their peak.
+
     `sustained_env_steps` stays by seed: a mean over those who got there would flatter who seldom does.
     """
     summaries = [result.summary for result in results]
@@ -88,10 +90,10 @@ def row(label: str, results: Sequence[Result]) -> dict[str, Any]:
         "human_share": average("interventions", "share"),
         "human_share_first_tenth": average("interventions", "share_first_tenth"),
         "human_share_last_tenth": average("interventions", "share_last_tenth"),
-        "steps_mean": average("policy", "steps_mean"),
+        "steps_mean": average("fresh", "last", "steps_mean"),
         "operator_steps_mean": average("operator", "steps_mean"),
-        "force_peak_N": average("policy", "force", "peak_mean"),
-        "force_filtered_peak_N": average("policy", "force", "filtered_peak_mean"),
+        "force_peak_N": average("fresh", "last", "force", "peak_mean"),
+        "force_filtered_peak_N": average("fresh", "last", "force", "filtered_peak_mean"),
         "operator_force_peak_N": average("operator", "force", "peak_mean"),
     }
 

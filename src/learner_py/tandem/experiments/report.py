@@ -34,7 +34,8 @@ class Report:
     def markdown(self) -> str:
         """The tables, with a sentence on what each holds."""
         text = [
-            f"{self.title}: success on fresh seeds, pooled over training seeds, with 95 % Wilson intervals.",
+            f"{self.title}: success on fresh seeds, pooled over training seeds, with 95 % Wilson intervals;"
+            " steps and forces are the last checkpoint's.",
             SUSTAINED_SENTENCE,
             "",
             *_markdown([self.kind, *figures.HEAD], [figures.cells(row) for row in self.rows]),
