@@ -41,7 +41,7 @@ PaperOption = Annotated[
 ]
 ReportOption = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", help="Write report.md, report.csv and the pictures of the curves to DIR."),
+    typer.Option(metavar="DIR", help="Write report.md, report.csv and their pictures to DIR."),
 ]
 
 

@@ -91,23 +91,25 @@ def draw_win_shares(path: Path, title: str, results: Mapping[str, list[Result]])
     return True
 
 
-def draw_last(path: Path, title: str, results: Mapping[str, list[Result]]) -> None:
+def draw_last(
+    path: Path, title: str, rows: Sequence[dict[str, Any]], results: Mapping[str, list[Result]]
+) -> None:
     """What the last policies are like, a line a label: success, human's share, steps and peak force.
 
-    Dots are what the report's table says, strokes the label's runs; dashed is the operator, mean of all labels.
+    rows: of the report's table, one a label. Dots are what it says, strokes the label's runs; dashed is the operator,
+    mean of all labels.
     """
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    pooled = [figures.row(label, runs) for label, runs in results.items()]
     single = [[figures.row(label, [run]) for run in runs] for label, runs in results.items()]
     figure, axes = plt.subplots(
-        1, 4, sharey=True, figsize=(13, 1.2 + 0.32 * len(pooled)), layout="constrained", squeeze=False
+        1, 4, sharey=True, figsize=(13, 1.2 + 0.32 * len(rows)), layout="constrained", squeeze=False
     )
     success, share, steps, force = axes[0]
-    for y, (row, runs) in enumerate(zip(pooled, single, strict=True)):
+    for y, (row, runs) in enumerate(zip(rows, single, strict=True)):
         last = row["last"]
         low, high = (100 * bound for bound in last["wilson"])
         success.plot([low, high], [y, y], color="C0", linewidth=2, alpha=0.5)
@@ -120,15 +122,15 @@ def draw_last(path: Path, title: str, results: Mapping[str, list[Result]]) -> No
         _dots(steps, y, row["steps_mean"], [run["steps_mean"] for run in runs])
         _dots(force, y, row["force_peak_N"], [run["force_peak_N"] for run in runs])
     for axis, key in ((steps, "operator_steps_mean"), (force, "operator_force_peak_N")):
-        operator = mean([row[key] for row in pooled if row[key] is not None])
+        operator = mean([row[key] for row in rows if row[key] is not None])
         if operator is not None:
             axis.axvline(operator, color="0.4", linestyle="--", linewidth=1)
     names = ("success, %", "human's share, %", "steps to success", "peak force, N")
     for axis, name in zip(axes[0], names, strict=True):
         axis.set(xlabel=name)
         axis.grid(alpha=0.3)
-    success.set(xlim=(None, 100.5), ylim=(len(pooled) - 0.5, -0.5))
-    success.set(yticks=range(len(pooled)), yticklabels=list(results))
+    success.set(xlim=(None, 100.5), ylim=(len(rows) - 0.5, -0.5))
+    success.set(yticks=range(len(rows)), yticklabels=list(results))
     figure.suptitle(title)
     figure.savefig(path, dpi=120)
     plt.close(figure)

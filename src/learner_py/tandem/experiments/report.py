@@ -90,7 +90,7 @@ class Report:
         folder.mkdir(parents=True, exist_ok=True)
         written = [folder / name for name in ("report.md", "report.csv", "curves.png", "last.png")]
         pictures.draw_curves(folder / "curves.png", self.title, self.results)
-        pictures.draw_last(folder / "last.png", self.title, self.results)
+        pictures.draw_last(folder / "last.png", self.title, self.rows, self.results)
         shown_pictures = [
             "![Success against env steps, robot time and wall time](curves.png)",
             "",
