@@ -6,7 +6,6 @@ then learner.
 """
 
 import contextlib
-import csv
 import json
 import math
 import os
@@ -17,18 +16,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import lcm
 from rich.console import Console
 from rich.live import Live
 from tandem_lcm.tandem.controller_status_t import controller_status_t
-from tandem_lcm.tandem.episode_end_t import episode_end_t
-from tandem_lcm.tandem.world_state_t import world_state_t
 
 from tandem import demonstrations, live_view, processes, summary
 from tandem.checkpoints import Checkpoints
 from tandem.conclusion import conclude
 from tandem.evaluation import EvaluationError
 from tandem.lent_terminal import COMEBACK_S, LentTerminal
+from tandem.listener import Listener
 from tandem.live_plots import LivePlots
 from tandem.processes import Child
 from tandem.run_clock import Clock
@@ -224,12 +221,11 @@ class _Supervisor:
     def _start(self) -> None:
         url = self.settings.lcm_url or os.environ.get("LCM_DEFAULT_URL") or processes.free_lcm_url()
         try:
-            self.lcm = lcm.LCM(url)
-        except Exception as error:
+            self.listener = Listener(url, self.folder, self.progress, self.clock, self.plots)
+        except RuntimeError as error:
             raise TrainingError(
                 f"LCM can't open {url} ({error}); ./tandem doctor tells what is missing."
             ) from None
-        self._subscribe()
         path = self.folder.path
         common: processes.Command = ["--scenario", self.folder.scenario, "--lcm-url", url]
         commands: dict[str, processes.Command] = {
@@ -256,67 +252,6 @@ class _Supervisor:
         for name, command in commands.items():
             person = name == "operator" and self._lent.person
             self.children[name] = Child(name, command, path / f"{name}.out", terminal=person)
-
-    def _subscribe(self) -> None:
-        handlers: dict[str, Callable[[bytes], None]] = {
-            "CONTROLLER_STATUS": self.progress.on_status,
-            "LEARNER_STATUS": self._on_learner,
-            "EPISODE_END": self._on_episode,
-            "ROBOT_STATE": self._on_robot,
-        }
-        for channel, handler in handlers.items():
-
-            def receive(_channel: str, data: bytes, handler: Callable[[bytes], None] = handler) -> None:
-                with contextlib.suppress(ValueError):  # somebody else's type on our channel
-                    handler(data)
-
-            subscription = self.lcm.subscribe(channel, receive)
-            # The arm's state comes thousands of times a second; one now and then is enough to show.
-            subscription.set_queue_capacity(1 if channel == "ROBOT_STATE" else 1000)
-
-    def _on_episode(self, data: bytes) -> None:
-        end = episode_end_t.decode(data)
-        new = end.episode > self.progress.last_episode
-        self.progress.on_episode(end)
-        if new and end.phase == world_state_t.TRAINING:
-            self.plots.episode(end, self.progress)
-
-    def _on_robot(self, data: bytes) -> None:
-        self.progress.robot = data
-
-    def _on_learner(self, data: bytes) -> None:
-        before = self.progress.learner
-        self.progress.on_learner(data)
-        now = self.progress.learner
-        if before is not None and before.updates_done == now.updates_done:
-            return
-        if math.isfinite(now.wall_updates_per_s) and now.wall_updates_per_s > 0:
-            rate = self.clock.value["updates_per_s"]
-            rate["sum"] += now.wall_updates_per_s
-            rate["n"] += 1
-        status = self.progress.status
-        env_steps = status.env_steps_total if status else 0
-        self.plots.learner(env_steps, now)
-        new = not self.folder.progress.exists()
-        with self.folder.progress.open("a", newline="") as file:
-            writer = csv.writer(file)
-            if new:
-                writer.writerow(summary.PROGRESS_COLUMNS)
-            writer.writerow(
-                [
-                    f"{sum(self.clock.value['seconds'].values()):.1f}",
-                    env_steps,
-                    now.episodes_trained_through,
-                    now.updates_done,
-                    now.buffer_steps,
-                    now.critic_loss,
-                    now.actor_loss,
-                    now.win_share,
-                    now.win_share_human,
-                    now.win_share_autonomous,
-                    now.wall_updates_per_s,
-                ]
-            )
 
     # ---- while it trains
 
@@ -393,8 +328,7 @@ class _Supervisor:
             raise Interrupted
         deadline = time.monotonic() + 0.1
         while (left := deadline - time.monotonic()) > 0:
-            with contextlib.suppress(OSError):  # a signal came
-                self.lcm.handle_timeout(max(1, int(1000 * left)))
+            self.listener.handle(left)
         self.clock.spend(part)
         if self.progress.status is not None:
             self.clock.value["overruns"] = self.progress.status.overruns
