@@ -41,7 +41,7 @@ CameraView::CameraView(const Simulation& simulation, const CameraSettings& setti
   if (camera_id_ < 0) {
     throw std::runtime_error(simulation.path() + ": the scene has no camera named `" +
                              settings.name +
-                             "` (controller.camera.name); the arm's own is `wrist`.");
+                             "` (controller.camera.name); the one on the hand is `wrist`.");
   }
   if (state_numbers(*model_) > SceneState::kMaxNumbers) {
     throw std::runtime_error(simulation.path() + ": the scene has " +

@@ -124,7 +124,7 @@ TEST(CameraView, PoseAndFocalLengthSayWhereAThingIsInTheImage) {
   for (int i = 0; i < model->ngeom; ++i) std::fill_n(model->geom_rgba + 4 * i, 3, 0.0f);
   const int box = rig.simulation.geom("hole_wall_xp");
   model->geom_rgba[4 * box + 1] = 1.0f;
-  Eigen::Vector3d::Map(model->geom_size + 3 * box).setConstant(0.004);
+  Eigen::Vector3d::Map(model->geom_size + 3 * box).setConstant(0.002);
   model->geom_sameframe[box] = 0;
   for (const Eigen::Vector3d& offset : {Eigen::Vector3d(0.03, 0.02, 0.01), {0.05, -0.04, 0.0}}) {
     Eigen::Vector3d::Map(model->geom_pos + 3 * box) = offset;

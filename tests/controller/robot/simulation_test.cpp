@@ -146,7 +146,7 @@ TEST(Simulation, StepAllocatesNothing) {
 TEST(Simulation, ErrorsAreSentencesThatNameFileAndRemedy) {
   Simulation simulation(kArmScene);
   EXPECT_EQ(message_of([&] { simulation.site("object"); }),
-            kArmScene + ": the scene has no site named `object`; it has: tool, nothing_held.");
+            kArmScene + ": the scene has no site named `object`; it has: tool.");
   EXPECT_NE(message_of([] { Simulation missing("no/such/scene.xml"); }).find("no/such/scene.xml"),
             std::string::npos);
 }
