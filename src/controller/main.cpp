@@ -138,7 +138,7 @@ int run(const std::string& scenario_path, const std::string& run_folder, const s
   std::vector<policy::Camera> cameras;
   if (scenario.run.sees) {
     const CameraSettings& c = scenario.control.camera;
-    cameras.push_back({c.name, c.height, c.width});
+    cameras.push_back({c.name, c.height, c.image_width()});
   }
   policy::PolicySlot slot;
   SpscRing<Record> records(kRecordRing);

@@ -293,7 +293,7 @@ def _controller_of(run: Path) -> list[int]:
 
 @pytest.fixture(scope="module")
 def seeing(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run that looks through the wrist camera."""
+    """A run that looks through the wrist's two cameras."""
     run = tmp_path_factory.mktemp("full_loop") / "seeing"
     done = train(run, "--observe", "image", **SEES)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
@@ -314,7 +314,7 @@ def test_policy_from_images_is_deployed_and_its_log_holds_all_that_it_learnt_fro
     header = read_header(seeing / "policy.safetensors")
     assert header.architecture == "encoded"
     assert not any(name.startswith("goal_") for name in header.observation)
-    assert header.config["cameras"] == [{"name": "wrist", "height": 64, "width": 64}]
+    assert header.config["cameras"] == [{"name": "wrist", "height": 64, "width": 128}]
     assert json.loads((seeing / "summary.json").read_text())["fresh"]["last"]["episodes"] == 2
     code, result = replay(seeing)
     assert code == 0 and result["differences"] == 0, result

@@ -137,7 +137,7 @@ def scenario_data(
             "translation_limit_m": 0.01, "rotation_limit_rad": 0.1, "observation": ["a", "b", "gripper_commanded"],
             "action_axes": ["x", "rz", "gripper"],
         },
-        "controller": {"camera": {"name": "wrist", "width_px": 16, "height_px": 24}},
+        "controller": {"camera": {"name": "wrist", "views": ["wrist"], "width_px": 16, "height_px": 24}},
         "operator": {"delay": 1},
         "method": section,
     }  # fmt: skip

@@ -3,6 +3,11 @@
 #include <cctype>
 
 namespace tandem {
+namespace {
+
+constexpr size_t kMostViews = 4;
+
+}  // namespace
 
 std::string CameraSettings::channel() const {
   std::string channel = "CAMERA_";
@@ -15,6 +20,11 @@ CameraSettings read_camera(Section section) {
   constexpr double kPi = 3.141592653589793;
   CameraSettings settings;
   settings.name = section.text("name");
+  settings.views = section.texts("views");
+  if (settings.views.empty() || settings.views.size() > kMostViews) {
+    throw ScenarioError(section.place("views") + " names " + std::to_string(settings.views.size()) +
+                        " cameras; an image has 1 to " + std::to_string(kMostViews) + " views.");
+  }
   settings.width = static_cast<int>(section.integer("width_px", 16, 512));
   settings.height = static_cast<int>(section.integer("height_px", 16, 512));
   settings.crop = section.number("crop", 0.1, 1.0);

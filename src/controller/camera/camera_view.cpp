@@ -37,11 +37,14 @@ CameraView::CameraView(const Simulation& simulation, const CameraSettings& setti
       nominal_(mj_copyModel(nullptr, simulation.model())),
       data_(mj_makeData(model_.get())) {
   tool_site_ = simulation.site("tool");
-  camera_id_ = mj_name2id(model_.get(), mjOBJ_CAMERA, settings.name.c_str());
-  if (camera_id_ < 0) {
-    throw std::runtime_error(simulation.path() + ": the scene has no camera named `" +
-                             settings.name +
-                             "` (controller.camera.name); the one on the hand is `wrist`.");
+  for (const std::string& name : settings.views) {
+    const int camera = mj_name2id(model_.get(), mjOBJ_CAMERA, name.c_str());
+    if (camera < 0) {
+      throw std::runtime_error(simulation.path() + ": the scene has no camera named `" + name +
+                               "` (controller.camera.views); those on the hand are `wrist` and"
+                               " `wrist_2`.");
+    }
+    cameras_.push_back(camera);
   }
   if (state_numbers(*model_) > SceneState::kMaxNumbers) {
     throw std::runtime_error(simulation.path() + ": the scene has " +
@@ -49,18 +52,17 @@ CameraView::CameraView(const Simulation& simulation, const CameraSettings& setti
                              " numbers of positions; a camera can follow " +
                              std::to_string(SceneState::kMaxNumbers) + ". Use fewer bodies.");
   }
-  hide_carrier();
-  mjtNum& fovy = model_->cam_fovy[camera_id_];  // degrees; less of it is the crop, drawn in full
-  fovy = 360.0 / mjPI * std::atan(settings.crop * std::tan(fovy * mjPI / 360.0));
+  for (const int camera : cameras_) {
+    hide_carrier(camera);
+    mjtNum& fovy = model_->cam_fovy[camera];  // degrees; less of it is the crop, drawn in full
+    fovy = 360.0 / mjPI * std::atan(settings.crop * std::tan(fovy * mjPI / 360.0));
+  }
   model_->vis.global.offwidth = kOversampling * settings.width;
   model_->vis.global.offheight = kOversampling * settings.height;
   model_->vis.quality.offsamples = 0;  // the averaging down does it
   mjv_defaultScene(&scene_);
   mjr_defaultContext(&context_);
   mjv_defaultOption(&option_);
-  mjv_defaultCamera(&camera_);
-  camera_.type = mjCAMERA_FIXED;
-  camera_.fixedcamid = camera_id_;
   mjv_makeScene(model_.get(), &scene_, 1000);
   mjr_makeContext(model_.get(), &context_, mjFONTSCALE_50);
   mjr_setBuffer(mjFB_OFFSCREEN, &context_);
@@ -73,8 +75,8 @@ CameraView::~CameraView() {
   mjv_freeScene(&scene_);
 }
 
-void CameraView::hide_carrier() {
-  const int carrier = model_->cam_bodyid[camera_id_];
+void CameraView::hide_carrier(int camera) {
+  const int carrier = model_->cam_bodyid[camera];
   for (int body = model_->body_parentid[carrier]; carrier > 0 && body > 0;
        body = model_->body_parentid[body]) {
     for (int i = 0; i < model_->body_geomnum[body]; ++i)
@@ -99,21 +101,27 @@ std::shared_ptr<const CameraFrame> CameraView::frame(const SceneState& state) {
   frame->episode = state.episode;
   frame->tick = state.tick;
   frame->step = state.step;
-  frame->width = settings_.width;
+  frame->width = settings_.image_width();
   frame->height = settings_.height;
-  const double half_angle = 0.5 * model_->cam_fovy[camera_id_] * mjPI / 180.0;
-  frame->focal_length = 0.5 * settings_.height / std::tan(half_angle);
-  frame->X_EC = camera_in_tool();
+  std::vector<cv::Mat> images;
+  for (const int camera : cameras_) {
+    const double half_angle = 0.5 * model_->cam_fovy[camera] * mjPI / 180.0;
+    const double focal_length = 0.5 * settings_.height / std::tan(half_angle);
+    frame->views.push_back({focal_length, camera_in_tool(camera)});
+    images.push_back(draw(camera));
+  }
+  cv::Mat image;
+  cv::hconcat(images, image);
 
   // The policy sees what a reader of the log will see: the pixels of the JPEG.
-  cv::imencode(".jpg", draw(), frame->jpeg, {cv::IMWRITE_JPEG_QUALITY, settings_.jpeg_quality});
-  frame->pixels.resize(static_cast<size_t>(3 * settings_.width * settings_.height));
-  cv::Mat rgb(settings_.height, settings_.width, CV_8UC3, frame->pixels.data());
+  cv::imencode(".jpg", image, frame->jpeg, {cv::IMWRITE_JPEG_QUALITY, settings_.jpeg_quality});
+  frame->pixels.resize(static_cast<size_t>(3 * frame->width * frame->height));
+  cv::Mat rgb(frame->height, frame->width, CV_8UC3, frame->pixels.data());
   cv::cvtColor(cv::imdecode(frame->jpeg, cv::IMREAD_COLOR), rgb, cv::COLOR_BGR2RGB);
   return frame;
 }
 
-// Another light, other colours, another mount.
+// Another light, other colours, other mounts.
 void CameraView::begin_episode(uint64_t seed) {
   const CameraSettings::Jitter& jitter = settings_.jitter;
   const mjModel& nominal = *nominal_;
@@ -146,17 +154,18 @@ void CameraView::begin_episode(uint64_t seed) {
     if (has_own) paint(model.geom_rgba + 4 * i, of_scene);
   }
 
-  const int c = camera_id_;
-  Twist change;
-  for (int i = 0; i < 3; ++i) change[i] = random.uniform(-jitter.position_m, jitter.position_m);
-  for (int i = 3; i < 6; ++i) change[i] = random.uniform(-jitter.angle_rad, jitter.angle_rad);
-  const mjtNum* q = nominal.cam_quat + 4 * c;
-  const Pose mount = add(
-      {Eigen::Vector3d::Map(nominal.cam_pos + 3 * c), Eigen::Quaterniond(q[0], q[1], q[2], q[3])},
-      change);
-  Eigen::Vector3d::Map(model.cam_pos + 3 * c) = mount.p;
-  mjtNum* to = model.cam_quat + 4 * c;
-  to[0] = mount.R.w(), to[1] = mount.R.x(), to[2] = mount.R.y(), to[3] = mount.R.z();
+  for (const int c : cameras_) {
+    Twist change;
+    for (int i = 0; i < 3; ++i) change[i] = random.uniform(-jitter.position_m, jitter.position_m);
+    for (int i = 3; i < 6; ++i) change[i] = random.uniform(-jitter.angle_rad, jitter.angle_rad);
+    const mjtNum* q = nominal.cam_quat + 4 * c;
+    const Pose mount = add(
+        {Eigen::Vector3d::Map(nominal.cam_pos + 3 * c), Eigen::Quaterniond(q[0], q[1], q[2], q[3])},
+        change);
+    Eigen::Vector3d::Map(model.cam_pos + 3 * c) = mount.p;
+    mjtNum* to = model.cam_quat + 4 * c;
+    to[0] = mount.R.w(), to[1] = mount.R.x(), to[2] = mount.R.y(), to[3] = mount.R.z();
+  }
 }
 
 void CameraView::pose(const SceneState& state) {
@@ -170,9 +179,13 @@ void CameraView::pose(const SceneState& state) {
 }
 
 // BGR, as OpenCV has it.
-cv::Mat CameraView::draw() {
+cv::Mat CameraView::draw(int camera) {
+  mjvCamera eye;
+  mjv_defaultCamera(&eye);
+  eye.type = mjCAMERA_FIXED;
+  eye.fixedcamid = camera;
   const mjrRect size{0, 0, kOversampling * settings_.width, kOversampling * settings_.height};
-  mjv_updateScene(model_.get(), data_.get(), &option_, nullptr, &camera_, mjCAT_ALL, &scene_);
+  mjv_updateScene(model_.get(), data_.get(), &option_, nullptr, &eye, mjCAT_ALL, &scene_);
   mjr_render(size, &scene_, &context_);
   cv::Mat rgb(size.height, size.width, CV_8UC3), image;
   mjr_readPixels(rgb.data, nullptr, size, &context_);
@@ -183,8 +196,8 @@ cv::Mat CameraView::draw() {
 }
 
 // MuJoCo's camera looks along -z with y up.
-Pose CameraView::camera_in_tool() const {
-  const Pose X_WC = pose_of(data_->cam_xpos + 3 * camera_id_, data_->cam_xmat + 9 * camera_id_);
+Pose CameraView::camera_in_tool(int camera) const {
+  const Pose X_WC = pose_of(data_->cam_xpos + 3 * camera, data_->cam_xmat + 9 * camera);
   const Pose X_WE = pose_of(data_->site_xpos + 3 * tool_site_, data_->site_xmat + 9 * tool_site_);
   const Pose turned{Eigen::Vector3d::Zero(), Eigen::Quaterniond(0.0, 1.0, 0.0, 0.0)};
   return inverse(X_WE) * X_WC * turned;

@@ -13,10 +13,10 @@
 
 namespace tandem {
 
-/// The images of one camera of a scene, drawn from a model and data of its own.
+/// The images of the cameras of a scene, drawn from a model and data of its own.
 ///
 /// Drawn at twice the size and averaged down, without shadows and reflections, and without the
-/// links that carry the camera, which it can't see. Light, colours and mount are drawn anew for
+/// links that carry the cameras, which they can't see. Light, colours and mounts are drawn anew for
 /// each episode from its seed. The same state and seed give the same bytes, whatever was drawn
 /// before.
 ///
@@ -43,11 +43,11 @@ class CameraView {
     void operator()(mjData* data) const { mj_deleteData(data); }
   };
 
-  void hide_carrier();
+  void hide_carrier(int camera);
   void begin_episode(uint64_t seed);
   void pose(const SceneState& state);
-  cv::Mat draw();
-  Pose camera_in_tool() const;
+  cv::Mat draw(int camera);
+  Pose camera_in_tool(int camera) const;
 
   CameraSettings settings_;
   EglContext egl_;
@@ -56,8 +56,8 @@ class CameraView {
   mjvScene scene_;
   mjrContext context_;
   mjvOption option_;
-  mjvCamera camera_;
-  int camera_id_ = -1, tool_site_ = -1;
+  std::vector<int> cameras_;  // of the model, from left to right
+  int tool_site_ = -1;
   bool drawn_ = false;
   uint64_t seed_ = 0;
 };

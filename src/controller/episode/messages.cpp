@@ -130,10 +130,15 @@ camera_frame_t to_message(const CameraFrame& frame) {
   m.step = frame.step;
   m.width = frame.width;
   m.height = frame.height;
-  m.focal_length = frame.focal_length;
-  m.center[0] = 0.5 * frame.width;
-  m.center[1] = 0.5 * frame.height;
-  put(frame.X_EC, m.p_EC, m.q_EC);
+  m.n_views = static_cast<int32_t>(frame.views.size());
+  m.views.resize(frame.views.size());
+  const double view_width = static_cast<double>(frame.width) / m.n_views;
+  for (size_t i = 0; i < frame.views.size(); ++i) {
+    m.views[i].focal_length = frame.views[i].focal_length;
+    m.views[i].center[0] = (static_cast<double>(i) + 0.5) * view_width;
+    m.views[i].center[1] = 0.5 * frame.height;
+    put(frame.views[i].X_EC, m.views[i].p_EC, m.views[i].q_EC);
+  }
   m.n_jpeg = static_cast<int32_t>(frame.jpeg.size());
   m.jpeg = frame.jpeg;
   return m;

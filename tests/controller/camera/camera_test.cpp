@@ -7,6 +7,7 @@
 #include "base/sha256.h"
 #include "controller/camera/camera_view.h"
 #include "controller/camera/camera_worker.h"
+#include "controller/episode/messages.h"
 #include "controller/loop/policy_worker.h"
 #include "controller/rig.h"
 #include "support/allocation_counter.h"
@@ -87,9 +88,11 @@ TEST(CameraView, JitterStaysInItsRangeAndWithoutItNothingMoves) {
     const SceneState state = state_of(rig, seed);
     EXPECT_EQ(still.frame(state)->jpeg, nominal->jpeg);
     const auto frame = shaken.frame(state);
-    const Twist change = minus(frame->X_EC, nominal->X_EC);
-    moved = std::max(moved, change.head<3>().cwiseAbs().maxCoeff());
-    turned = std::max(turned, change.tail<3>().norm());
+    for (size_t i = 0; i < frame->views.size(); ++i) {
+      const Twist change = minus(frame->views[i].X_EC, nominal->views[i].X_EC);
+      moved = std::max(moved, change.head<3>().cwiseAbs().maxCoeff());
+      turned = std::max(turned, change.tail<3>().norm());
+    }
     darkest = std::min(darkest, brightness(*frame));
     brightest = std::max(brightest, brightness(*frame));
   }
@@ -118,7 +121,7 @@ TEST(CameraView, LightsOfTheBoardChangeWithTheEpisode) {
 TEST(CameraView, PoseAndFocalLengthSayWhereAThingIsInTheImage) {
   Rig rig;
   rig.begin(3);
-  // Every geom black but one small box of green light, beside the peg.
+  // Every geom black but one small box of green light, beside the peg; two cameras see it.
   mjModel* model = rig.simulation.model();
   for (int i = 0; i < model->nmat; ++i) std::fill_n(model->mat_rgba + 4 * i, 3, 0.0f);
   for (int i = 0; i < model->ngeom; ++i) std::fill_n(model->geom_rgba + 4 * i, 3, 0.0f);
@@ -135,26 +138,36 @@ TEST(CameraView, PoseAndFocalLengthSayWhereAThingIsInTheImage) {
     const auto frame = view.frame(state_of(rig, 3));
     rig.simulation.forward();
     const Eigen::Vector3d p_WB = Eigen::Vector3d::Map(rig.simulation.data()->geom_xpos + 3 * box);
-    const Pose X_CW = inverse(rig.simulation.tool_pose() * frame->X_EC);
-    const Eigen::Vector3d p_CB = X_CW.p + X_CW.R * p_WB;
-    double u = 0, v = 0, sum = 0;
-    for (int i = 0; i < 256 * 256; ++i) {
-      const uint8_t* pixel = &frame->pixels[static_cast<size_t>(3 * i)];
-      const double green = std::max(0, pixel[1] - std::max(pixel[0], pixel[2]) - 30);
-      u += green * (i % 256 + 0.5);
-      v += green * (i / 256 + 0.5);
-      sum += green;
+    const camera_frame_t sent = to_message(*frame);
+    ASSERT_EQ(sent.n_views, 2);
+    ASSERT_EQ(sent.width, 2 * 256);
+    for (int side = 0; side < 2; ++side) {
+      const CameraFrame::View& eye = frame->views[static_cast<size_t>(side)];
+      const Pose X_CW = inverse(rig.simulation.tool_pose() * eye.X_EC);
+      const Eigen::Vector3d p_CB = X_CW.p + X_CW.R * p_WB;
+      double u = 0, v = 0, sum = 0;
+      for (int row = 0; row < 256; ++row) {
+        for (int column = 256 * side; column < 256 * (side + 1); ++column) {
+          const uint8_t* pixel = &frame->pixels[static_cast<size_t>(3 * (512 * row + column))];
+          const double green = std::max(0, pixel[1] - std::max(pixel[0], pixel[2]) - 30);
+          u += green * (column + 0.5);
+          v += green * (row + 0.5);
+          sum += green;
+        }
+      }
+      ASSERT_GT(sum, 1000.0);
+      const camera_view_t& view_sent = sent.views[static_cast<size_t>(side)];
+      const double* center = view_sent.center;
+      EXPECT_NEAR(u / sum, view_sent.focal_length * p_CB.x() / p_CB.z() + center[0], 1.5);
+      EXPECT_NEAR(v / sum, view_sent.focal_length * p_CB.y() / p_CB.z() + center[1], 1.5);
     }
-    ASSERT_GT(sum, 1000.0);
-    EXPECT_NEAR(u / sum, frame->focal_length * p_CB.x() / p_CB.z() + 128, 1.5);
-    EXPECT_NEAR(v / sum, frame->focal_length * p_CB.y() / p_CB.z() + 128, 1.5);
   }
 }
 
 TEST(CameraView, UnknownCameraIsASentence) {
   Rig rig;
   CameraSettings other = settings();
-  other.name = "ceiling";
+  other.views = {"ceiling"};
   try {
     CameraView view(rig.simulation, other);
     FAIL();
@@ -163,11 +176,22 @@ TEST(CameraView, UnknownCameraIsASentence) {
   }
 }
 
+TEST(CameraSettings, ImageOfNoViewIsASentence) {
+  try {
+    read_camera(Section::parse("{name: wrist, views: []}", "scenario.yaml"));
+    FAIL();
+  } catch (const ScenarioError& error) {
+    EXPECT_NE(std::string(error.what()).find("views names 0 cameras; an image has 1 to 4 views."),
+              std::string::npos)
+        << error.what();
+  }
+}
+
 TEST(CameraWorker, FailureToStartReachesTheCaller) {
   Rig rig;
   StatusBoard board;
   CameraSettings other = settings();
-  other.name = "ceiling";
+  other.views = {"ceiling"};
   EXPECT_THROW(CameraWorker(
                    rig.simulation, other, true, [](auto) {}, board),
                std::runtime_error);

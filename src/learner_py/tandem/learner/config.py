@@ -330,8 +330,14 @@ class TaskConfig(Lenient):
 
 class CameraConfig(Lenient):
     name: str
-    width_px: int = Field(ge=16, le=512)
+    views: list[str] = Field(min_length=1)
+    width_px: int = Field(ge=16, le=512)  # of a view
     height_px: int = Field(ge=16, le=512)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the image."""
+        return self.height_px, self.width_px * len(self.views)
 
 
 class ControllerConfig(Lenient):
@@ -381,8 +387,7 @@ class LearnerScenario(Lenient):
     @property
     def image_size(self) -> tuple[int, int] | None:
         """Height and width; None when there are no images."""
-        camera = self.controller.camera
-        return (camera.height_px, camera.width_px) if self.sees else None
+        return self.controller.camera.size if self.sees else None
 
     @property
     def batch(self) -> int:

@@ -115,7 +115,8 @@ class Method:
         first, *rest = settings.channels
         layers = [{"channels": first, "kernel": 5, "stride": 4}]
         layers += [{"channels": n, "kernel": 3, "stride": 2} for n in rest]
-        eye = {"name": camera.name, "height": camera.height_px, "width": camera.width_px}
+        height, width = camera.size
+        eye = {"name": camera.name, "height": height, "width": width}
         return encoded.Sight.model_validate(
             {"cameras": [eye], "backbone": {"kind": "cnn", "layers": layers}, "features": settings.features}
         )
@@ -449,10 +450,10 @@ class Method:
     ) -> tuple[Array, Array]:
         """Loss and policy_wins (B,). warm_start: imitate the batch, the critic is too young to rank."""
         kind = self.config.learner.improvement.kind
+        batch = self.seen(encoder, batch)  # once: two would be two ways back through the encoder
         beside = self._rest_loss(encoder, batch) if self.sight is not None else 0.0
         if not self.config.learner.image.actor_teaches:
-            encoder = lax.stop_gradient(encoder)
-        batch = self.seen(encoder, batch)
+            batch = batch._replace(x=lax.stop_gradient(batch.x))
         arguments = (self, trained, state.critics, batch, q_buffer, key)
         if kind == "imitate":
             loss, wins = imitate.loss(*arguments)
@@ -462,16 +463,16 @@ class Method:
             )
         return loss + beside, wins
 
-    def _rest_loss(self, encoder: Networks, batch: Batch) -> Array:
+    def _rest_loss(self, encoder: Networks, seen: Batch) -> Array:
         """How wrong a linear map of the image's features tells the rest of the way. It teaches where things are.
 
         Of these alone: velocity and force tell it as well where a human moves the arm, and nowhere else.
         """
-        assert self.sight is not None and batch.rest is not None, "the method has an encoder"
-        features = self.seen(encoder, batch).x[:, -self.sight.features :]
+        assert self.sight is not None and seen.rest is not None, "the method has an encoder"
+        features = seen.x[:, -self.sight.features :]
         told = forward(encoder["rest"], features.T, "relu").T
-        known = jnp.isfinite(batch.rest)
-        error = jnp.where(known, told - jnp.where(known, batch.rest, 0.0) / REST_SCALE, 0.0)
+        known = jnp.isfinite(seen.rest)
+        error = jnp.where(known, told - jnp.where(known, seen.rest, 0.0) / REST_SCALE, 0.0)
         return self.config.learner.image.rest_weight * jnp.abs(error).mean()
 
     def averages(self, state: LearnerState, networks: Networks, warm_start: Array) -> Networks:
