@@ -60,7 +60,7 @@ def train(
         Observe | None,
         typer.Option(
             help="What the policy sees. state: the task's observation, poses included; image: what the arm knows by"
-            " itself, and its wrist camera [default: state]."
+            " itself, and its wrist cameras [default: state]."
         ),
     ] = None,
     operator: Annotated[

@@ -32,7 +32,7 @@ class RowSet(NamedTuple):
 RowSets = dict[str, RowSet]
 
 FIRST_ALLOCATION = 16_384  # rows; a usual run never grows, so it never compiles a second time
-FIRST_ALLOCATION_WITH_IMAGES = 8_192  # 100 MB at 64 px
+FIRST_ALLOCATION_WITH_IMAGES = 8_192  # 200 MB with two views of 64 px
 _PADDING = 128  # rows; episodes are padded to multiples of it, so that writing compiles rarely
 
 
@@ -55,7 +55,7 @@ class ReplayBuffer:
         next_images: bool = False,
     ) -> None:
         """Makes the first arrays; before that the buffer has no shapes. Images (height, width) take most of the memory:
-        12 KB a row at 64 px, twice that with next_images."""
+        24 KB a row with two views of 64 px, twice that with next_images."""
         black = None if image_size is None else np.zeros((1, *image_size, 3), np.uint8)
         one = Windows(
             observation=np.zeros((1, width), np.float32),
