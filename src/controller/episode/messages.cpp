@@ -131,13 +131,14 @@ camera_frame_t to_message(const CameraFrame& frame) {
   m.width = frame.width;
   m.height = frame.height;
   m.n_views = static_cast<int32_t>(frame.views.size());
-  m.views.resize(frame.views.size());
   const double view_width = static_cast<double>(frame.width) / m.n_views;
-  for (size_t i = 0; i < frame.views.size(); ++i) {
-    m.views[i].focal_length = frame.views[i].focal_length;
-    m.views[i].center[0] = (static_cast<double>(i) + 0.5) * view_width;
-    m.views[i].center[1] = 0.5 * frame.height;
-    put(frame.views[i].X_EC, m.views[i].p_EC, m.views[i].q_EC);
+  for (const CameraFrame::View& view : frame.views) {
+    const double n_before = static_cast<double>(m.focal_length.size());
+    m.focal_length.push_back(view.focal_length);
+    m.center.push_back({(n_before + 0.5) * view_width, 0.5 * frame.height});
+    m.p_EC.emplace_back(3);
+    m.q_EC.emplace_back(4);
+    put(view.X_EC, m.p_EC.back().data(), m.q_EC.back().data());
   }
   m.n_jpeg = static_cast<int32_t>(frame.jpeg.size());
   m.jpeg = frame.jpeg;

@@ -156,10 +156,10 @@ TEST(CameraView, PoseAndFocalLengthSayWhereAThingIsInTheImage) {
         }
       }
       ASSERT_GT(sum, 1000.0);
-      const camera_view_t& view_sent = sent.views[static_cast<size_t>(side)];
-      const double* center = view_sent.center;
-      EXPECT_NEAR(u / sum, view_sent.focal_length * p_CB.x() / p_CB.z() + center[0], 1.5);
-      EXPECT_NEAR(v / sum, view_sent.focal_length * p_CB.y() / p_CB.z() + center[1], 1.5);
+      const double focal_length = sent.focal_length[static_cast<size_t>(side)];
+      const auto& center = sent.center[static_cast<size_t>(side)];
+      EXPECT_NEAR(u / sum, focal_length * p_CB.x() / p_CB.z() + center[0], 1.5);
+      EXPECT_NEAR(v / sum, focal_length * p_CB.y() / p_CB.z() + center[1], 1.5);
     }
   }
 }
