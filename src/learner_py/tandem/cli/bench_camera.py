@@ -10,7 +10,7 @@ import typer
 
 from tandem.cli.common import JsonOption, SetOption, fail, sentences, write_json
 
-SIZES = (64, 96, 128)  # px
+SIZES = (64, 96, 128)  # px, of a view
 
 
 def camera(
@@ -26,8 +26,9 @@ def camera(
     overrides: SetOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Images a second and ms an image (drawn, JPEG and back) at 64, 96 and 128 px, on one core; then the 1 kHz loop in
-    real time with and without the camera, in turns, both on the same core: computing time of a tick and lateness (us).
+    """Images a second and ms an image (all views drawn, JPEG and back) at 64, 96 and 128 px a view, on one core; then
+    the 1 kHz loop in real time with and without the camera, in turns, on the same core: computing time of a tick and
+    lateness (us).
 
     JSON: sizes {px: {frames_per_s, frame_ms {p50, p99, max}}}, loop {with_camera, without_camera} {ticks, overruns,
     tick_compute_us, wakeup_us}, late: images that came too late for their step.
