@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "controller/rig.h"
+#include "controller/task/reset.h"
 
 namespace tandem {
 namespace {
@@ -32,6 +33,36 @@ struct SquareRig : Rig {
     for (int i = 0; i < 1000; ++i) robot.miss();
     return -(inverse(truth().X_WG) * truth().X_WO).p.z();
   }
+
+  /// Takes the nut by its handle and lifts it by 120 mm.
+  void take() {
+    begin(1, Phase::demonstration);
+    const Pose X_WB = simulation.body_pose(nut);
+    place_arm(robot, model, truth().X_WH, kGripperStroke);
+    simulation.place_free_body(nut, X_WB);
+    simulation.forward();
+    robot.recover();
+    loop.begin_episode({.episode = 0, .episode_seed = 1, .phase = Phase::demonstration});
+    move(0.0, 8);
+    move(1.0, 8);
+    move(0.0, 5);
+  }
+
+  /// Policy steps of a human who keeps the hand closed; `up` as an action, 1 = the task's limit.
+  void move(double up, int steps) {
+    HumanCommand command = human(up * Twist::Unit(2), true);
+    command.gripper = 1.0;
+    for (int i = 0; i < steps; ++i) {
+      loop.hear(command, now_us);
+      begin_step();
+      run_step();
+    }
+  }
+
+  /// The nut's orientation in E.
+  Eigen::Quaterniond nut_in_hand() const {
+    return simulation.tool_pose().R.conjugate() * simulation.body_pose(nut).R;
+  }
 };
 
 TEST(SquareTask, SameSeedGivesTheSameSceneWhateverHappenedBefore) {
@@ -54,6 +85,19 @@ TEST(SquareTask, NutLiesStillUntilItIsTouched) {
   const Pose before = rig.truth().X_WO;
   for (int i = 0; i < 1000; ++i) rig.robot.miss();
   EXPECT_LT(minus(rig.truth().X_WO, before).norm(), 1e-3);
+}
+
+TEST(SquareTask, HeldNutDoesNotTurnUnderALoadThatFrictionBears) {
+  for (const char* name : {"square", "square-robosuite"}) {
+    SquareRig rig(name);
+    rig.take();
+    const Eigen::Quaterniond before = rig.nut_in_hand();
+    ASSERT_GT(rig.simulation.body_pose(rig.nut).p.z(), 0.1) << "not taken";
+    double* force = rig.simulation.data()->xfrc_applied + 6 * rig.nut;
+    force[2] = 6.0;  // as from a peg below the hole, 60 mm beside the fingers
+    rig.move(0.0, 10);
+    EXPECT_LT(before.angularDistance(rig.nut_in_hand()), 0.01) << name;
+  }
 }
 
 TEST(SquareTask, TightNutNeedsTheRightYaw) {
